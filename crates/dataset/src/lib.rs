@@ -1,0 +1,18 @@
+//! The nouns that flow between the stages: [`Scan`], [`Pose2`], [`Keyframe`], [`Pair`].
+//!
+//! With the default feature `parquet`, [`tables`] reads and writes them. Without it this crate is
+//! small enough for a robot: no Arrow, no Parquet.
+//!
+//! Units: metres, radians and nanoseconds since the epoch, unless a name says otherwise.
+
+mod keyframe;
+mod pair;
+mod pose;
+mod scan;
+#[cfg(feature = "parquet")]
+pub mod tables;
+
+pub use keyframe::{Keyframe, ScanId};
+pub use pair::{Label, Pair};
+pub use pose::{NoPose, Pose2, StampedPose, Trajectory, wrap_angle};
+pub use scan::{FULL_RING_DEG, RangeLimits, Scan, Unusable};

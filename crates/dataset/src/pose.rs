@@ -1,0 +1,150 @@
+use std::f64::consts::{PI, TAU};
+
+/// A pose in the plane.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Pose2 {
+    /// \[m\]
+    pub x_m: f64,
+    /// \[m\]
+    pub y_m: f64,
+    /// Counter-clockwise from x \[rad\].
+    pub heading_rad: f64,
+}
+
+impl Pose2 {
+    /// Straight-line distance to another position \[m\].
+    pub fn distance_m(&self, other: &Self) -> f64 {
+        (self.x_m - other.x_m).hypot(self.y_m - other.y_m)
+    }
+
+    /// Unsigned angle between two headings \[rad\], 0 to pi.
+    pub fn heading_difference_rad(&self, other: &Self) -> f64 {
+        wrap_angle(self.heading_rad - other.heading_rad).abs()
+    }
+}
+
+/// An angle wrapped into (-pi, pi].
+pub fn wrap_angle(rad: f64) -> f64 {
+    let wrapped = rad.rem_euclid(TAU);
+    if wrapped <= PI { wrapped } else { wrapped - TAU }
+}
+
+/// A pose and when the robot was there.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StampedPose {
+    /// \[ns since the epoch\]
+    pub stamp_ns: i64,
+    /// The pose in the site's map frame.
+    pub pose: Pose2,
+}
+
+/// Why there is no pose at a stamp.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, thiserror::Error)]
+pub enum NoPose {
+    /// The stamp is before the first pose.
+    #[error("before the first pose")]
+    BeforeFirst,
+    /// The stamp is after the last pose.
+    #[error("after the last pose")]
+    AfterLast,
+    /// The poses around the stamp are too far apart in time to interpolate between.
+    #[error("in a gap between poses")]
+    Gap,
+}
+
+/// Poses in order of time, strictly ascending.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Trajectory {
+    poses: Vec<StampedPose>,
+}
+
+impl Trajectory {
+    /// Sorts the poses by stamp; of poses with one stamp the first given stays.
+    ///
+    /// Returns the trajectory and how many poses had a stamp that was already taken.
+    pub fn new(mut poses: Vec<StampedPose>) -> (Self, usize) {
+        poses.sort_by_key(|p| p.stamp_ns); // stable
+        let before = poses.len();
+        poses.dedup_by_key(|p| p.stamp_ns);
+        let n_duplicates = before - poses.len();
+        (Self { poses }, n_duplicates)
+    }
+
+    /// The poses, strictly ascending in time.
+    pub fn poses(&self) -> &[StampedPose] {
+        &self.poses
+    }
+
+    /// The pose at a stamp: position linear, heading along the shorter arc, between the two
+    /// poses around it, where these are at most `max_gap_ns` apart. A stamp that a pose has needs
+    /// no neighbour.
+    pub fn pose_at(&self, stamp_ns: i64, max_gap_ns: i64) -> Result<Pose2, NoPose> {
+        let after = self.poses.partition_point(|p| p.stamp_ns < stamp_ns);
+        let Some(next) = self.poses.get(after) else {
+            return Err(NoPose::AfterLast);
+        };
+        if next.stamp_ns == stamp_ns {
+            return Ok(next.pose);
+        }
+        let Some(previous) = after.checked_sub(1).map(|k| &self.poses[k]) else {
+            return Err(NoPose::BeforeFirst);
+        };
+        let gap_ns = next.stamp_ns.saturating_sub(previous.stamp_ns);
+        if max_gap_ns < gap_ns {
+            return Err(NoPose::Gap);
+        }
+        let share = (stamp_ns - previous.stamp_ns) as f64 / gap_ns as f64;
+        let (a, b) = (&previous.pose, &next.pose);
+        Ok(Pose2 {
+            x_m: a.x_m + share * (b.x_m - a.x_m),
+            y_m: a.y_m + share * (b.y_m - a.y_m),
+            heading_rad: wrap_angle(
+                a.heading_rad + share * wrap_angle(b.heading_rad - a.heading_rad),
+            ),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(stamp_ns: i64, x_m: f64, heading_deg: f64) -> StampedPose {
+        StampedPose {
+            stamp_ns,
+            pose: Pose2 { x_m, y_m: -x_m, heading_rad: heading_deg.to_radians() },
+        }
+    }
+
+    #[test]
+    fn halfway_between_two_poses_and_along_the_shorter_arc() {
+        let (trajectory, duplicates) =
+            Trajectory::new(vec![at(200, 2.0, -170.0), at(100, 1.0, 170.0), at(200, 9.0, 0.0)]);
+        assert_eq!(duplicates, 1);
+        let pose = trajectory.pose_at(150, 100).unwrap();
+        assert_eq!((pose.x_m, pose.y_m), (1.5, -1.5));
+        assert!((pose.heading_rad - PI).abs() < 1e-12);
+        let pose = trajectory.pose_at(125, 100).unwrap();
+        assert!((pose.heading_rad - 175f64.to_radians()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn no_pose_outside_or_in_a_gap_but_at_a_pose_itself() {
+        let (trajectory, _) = Trajectory::new(vec![at(100, 1.0, 0.0), at(200, 2.0, 0.0)]);
+        assert_eq!(trajectory.pose_at(99, 100), Err(NoPose::BeforeFirst));
+        assert_eq!(trajectory.pose_at(201, 100), Err(NoPose::AfterLast));
+        assert_eq!(trajectory.pose_at(101, 99), Err(NoPose::Gap));
+        assert!(trajectory.pose_at(200, 0).is_ok() && trajectory.pose_at(100, 0).is_ok());
+        assert_eq!(Trajectory::default().pose_at(5, 5), Err(NoPose::AfterLast));
+    }
+
+    #[test]
+    fn angles_wrap_into_half_open_turn() {
+        assert_eq!(wrap_angle(PI), PI);
+        assert_eq!(wrap_angle(-PI), PI);
+        assert!((wrap_angle(3.0 * PI + 0.25) - (0.25 - PI)).abs() < 1e-12);
+        let a = Pose2 { heading_rad: 3.0, ..Pose2::default() };
+        let b = Pose2 { heading_rad: -3.0, ..Pose2::default() };
+        assert!((a.heading_difference_rad(&b) - (TAU - 6.0)).abs() < 1e-12);
+    }
+}

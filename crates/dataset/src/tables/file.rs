@@ -1,0 +1,175 @@
+//! One table file: written whole or not at all, read with its provenance checked.
+
+use std::ffi::OsString;
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use arrow_array::RecordBatch;
+use arrow_schema::SchemaRef;
+use parquet::arrow::ArrowWriter;
+use parquet::arrow::arrow_reader::{
+    ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder,
+};
+use parquet::basic::{Compression, ZstdLevel};
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::{EnabledStatistics, WriterProperties, WriterPropertiesBuilder};
+
+use super::{FORMAT_VERSION, Provenance, Result, TableError, command_for};
+
+/// Writes a file through `fill`, beside its place, and renames it when it is whole and on disk.
+///
+/// After an error, or a crash at any moment, `path` is what it was before.
+pub fn write_atomically<T, E: From<TableError>>(
+    path: &Path,
+    fill: impl FnOnce(BufWriter<File>) -> std::result::Result<(BufWriter<File>, T), E>,
+) -> std::result::Result<T, E> {
+    let io = |action| move |source| TableError::Io { action, path: path.to_owned(), source };
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder).map_err(|source| TableError::Io {
+            action: "create folder",
+            path: folder.to_owned(),
+            source,
+        })?;
+    }
+    let partial = partial_path(path);
+    let written = (|| {
+        let file = File::create(&partial).map_err(io("write"))?;
+        let (mut writer, value) = fill(BufWriter::with_capacity(1 << 20, file))?;
+        writer.flush().map_err(io("write"))?;
+        writer.get_ref().sync_all().map_err(io("write"))?;
+        fs::rename(&partial, path).map_err(io("write"))?;
+        Ok(value)
+    })();
+    if written.is_err() {
+        // The error that matters is the first one; a leftover is overwritten by the next run.
+        let _ = fs::remove_file(&partial);
+    }
+    written
+}
+
+/// `keyframes.parquet` is written as `.keyframes.parquet.partial`.
+fn partial_path(path: &Path) -> PathBuf {
+    let mut name = OsString::from(".");
+    name.push(path.file_name().unwrap_or_default());
+    name.push(".partial");
+    path.with_file_name(name)
+}
+
+/// BLAKE3 digest of a file's bytes, hex.
+pub fn digest_file(path: &Path) -> Result<String> {
+    let io = |source| TableError::Io { action: "read", path: path.to_owned(), source };
+    let mut hasher = blake3::Hasher::new();
+    hasher.update_reader(File::open(path).map_err(io)?).map_err(io)?;
+    Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// Writer settings common to all tables: zstd, no created-by version that would change the bytes
+/// with the library.
+pub(super) fn properties(metadata: Vec<KeyValue>) -> WriterPropertiesBuilder {
+    WriterProperties::builder()
+        .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).expect("1 is a zstd level")))
+        .set_statistics_enabled(EnabledStatistics::Chunk)
+        .set_created_by("loopboost".to_owned())
+        .set_key_value_metadata(Some(metadata))
+}
+
+/// Writes a table that fits in memory.
+pub fn write_table(
+    path: &Path,
+    kind: &str,
+    provenance: &Provenance,
+    batch: &RecordBatch,
+) -> Result<()> {
+    write_atomically(path, |file| {
+        let failed = |e: parquet::errors::ParquetError| write_error(path, e);
+        let properties = properties(provenance.to_metadata(kind)).build();
+        let mut writer =
+            ArrowWriter::try_new(file, batch.schema(), Some(properties)).map_err(failed)?;
+        writer.write(batch).map_err(failed)?;
+        Ok((writer.into_inner().map_err(failed)?, ()))
+    })
+}
+
+pub(super) fn write_error(path: &Path, error: parquet::errors::ParquetError) -> TableError {
+    let source = match error {
+        parquet::errors::ParquetError::External(inner) => match inner.downcast() {
+            Ok(io) => *io,
+            Err(other) => std::io::Error::other(other),
+        },
+        other => std::io::Error::other(other),
+    };
+    TableError::Io { action: "write", path: path.to_owned(), source }
+}
+
+pub(super) fn unreadable(path: &Path, kind: &str, error: impl std::fmt::Display) -> TableError {
+    TableError::Unreadable {
+        path: path.to_owned(),
+        detail: error.to_string(),
+        command: command_for(kind),
+    }
+}
+
+/// Opens a table and checks that it is of the kind and the format version that we read.
+pub(super) fn open_table(
+    path: &Path,
+    kind: &'static str,
+) -> Result<(ParquetRecordBatchReaderBuilder<File>, Provenance)> {
+    let file = File::open(path).map_err(|source| match source.kind() {
+        std::io::ErrorKind::NotFound => {
+            TableError::Missing { path: path.to_owned(), command: command_for(kind) }
+        }
+        _ => TableError::Io { action: "read", path: path.to_owned(), source },
+    })?;
+    let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
+        .map_err(|e| unreadable(path, kind, e))?;
+    let provenance = {
+        let entries = metadata.metadata().file_metadata().key_value_metadata();
+        let get = |key: &str| {
+            let key = format!("loopboost.{key}");
+            entries?.iter().find(|entry| entry.key == key)?.value.clone()
+        };
+        match get("kind") {
+            Some(found) if found == kind => {}
+            found => {
+                return Err(TableError::Kind {
+                    path: path.to_owned(),
+                    expected: kind,
+                    found: found.map_or("a table from elsewhere".to_owned(), |k| format!("`{k}`")),
+                });
+            }
+        }
+        match get("format_version") {
+            Some(found) if found == FORMAT_VERSION.to_string() => {}
+            found => {
+                return Err(TableError::Version {
+                    path: path.to_owned(),
+                    found: found.unwrap_or_else(|| "none".to_owned()),
+                    expected: FORMAT_VERSION,
+                    command: command_for(kind),
+                });
+            }
+        }
+        Provenance::from_metadata(get)
+            .ok_or_else(|| unreadable(path, kind, "its provenance metadata is incomplete"))?
+    };
+    Ok((ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata), provenance))
+}
+
+/// Reads a whole table of a kind, with its provenance.
+pub fn read_table(path: &Path, kind: &'static str) -> Result<(RecordBatch, Provenance)> {
+    let (builder, provenance) = open_table(path, kind)?;
+    let schema: SchemaRef = builder.schema().clone();
+    let n_rows = usize::try_from(builder.metadata().file_metadata().num_rows()).unwrap_or(0);
+    let reader =
+        builder.with_batch_size(n_rows.max(1)).build().map_err(|e| unreadable(path, kind, e))?;
+    let mut whole = RecordBatch::new_empty(schema);
+    for batch in reader {
+        // The batch size is the table's, so that there is at most one batch.
+        whole = batch.map_err(|e| unreadable(path, kind, e))?;
+    }
+    if whole.num_rows() != n_rows {
+        return Err(unreadable(path, kind, format!("{} of {n_rows} rows", whole.num_rows())));
+    }
+    Ok((whole, provenance))
+}

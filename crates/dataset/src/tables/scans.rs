@@ -1,0 +1,328 @@
+//! `scans/<log>.parquet`: one planar scan a row, streamed, since a log can hold many.
+//!
+//! | column | type | |
+//! |---|---|---|
+//! | `log` | string | the log's file stem |
+//! | `scan` | u32 | row number |
+//! | `stamp_ns` | i64 | when the first beam fired |
+//! | `x_m`, `y_m` | list of f32 | returns in the lidar frame, in firing order |
+//! | `coverage_deg` | f32 | angle swept by the firings |
+//! | `usable` | bool | whether features can be computed ([`Scan::check_usable`]) |
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::Path;
+use std::sync::Arc;
+
+use arrow_array::builder::{Float32Builder, ListBuilder};
+use arrow_array::cast::AsArray;
+use arrow_array::types::{Float32Type, Int64Type, UInt32Type};
+use arrow_array::{
+    Array, ArrayRef, BooleanArray, Float32Array, Int64Array, ListArray, RecordBatch, StringArray,
+    UInt32Array,
+};
+use arrow_schema::{DataType, Field, Schema, SchemaRef};
+use parquet::arrow::ArrowSchemaConverter;
+use parquet::arrow::ProjectionMask;
+use parquet::arrow::add_encoded_arrow_schema_to_metadata;
+use parquet::arrow::arrow_reader::{RowSelection, RowSelector};
+use parquet::arrow::arrow_writer::{ArrowColumnChunk, ArrowRowGroupWriterFactory, compute_leaves};
+use parquet::basic::Encoding;
+use parquet::errors::ParquetError;
+use parquet::file::properties::EnabledStatistics;
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::types::ColumnPath;
+use rayon::prelude::*;
+
+use super::columns::Columns;
+use super::file::{open_table, properties, unreadable, write_error};
+use super::{Provenance, Result, TableError, write_atomically};
+use crate::Scan;
+
+/// Rows in a row group; fixed, so that the bytes do not depend on how scans arrive.
+const SCANS_PER_GROUP: usize = 128;
+
+/// What is known of a scan without its points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScanHeader {
+    /// When the first beam fired \[ns since the epoch\].
+    pub stamp_ns: i64,
+    /// Angle swept by the firings \[deg\].
+    pub coverage_deg: f32,
+    /// Whether features can be computed from the scan.
+    pub usable: bool,
+}
+
+/// Writes a scans table; `produce` hands scans to the [`ScanWriter`] in order.
+pub fn write_scans<T, E: From<TableError>>(
+    path: &Path,
+    provenance: &Provenance,
+    log: &str,
+    produce: impl FnOnce(&mut ScanWriter<'_>) -> std::result::Result<T, E>,
+) -> std::result::Result<T, E> {
+    write_atomically(path, |file| {
+        let mut writer = ScanWriter::new(path, file, provenance, log)?;
+        let value = produce(&mut writer)?;
+        Ok((writer.finish()?, value))
+    })
+}
+
+/// Takes scans in order and writes them in row groups, encoding several at once.
+///
+/// The bytes depend on the scans alone, not on the number of threads or on how the scans were
+/// batched.
+pub struct ScanWriter<'a> {
+    path: &'a Path,
+    log: &'a str,
+    file: SerializedFileWriter<BufWriter<File>>,
+    factory: ArrowRowGroupWriterFactory,
+    schema: SchemaRef,
+    waiting: Vec<Scan>,
+    n_scans: u32,
+    n_groups: usize,
+}
+
+impl<'a> ScanWriter<'a> {
+    fn new(
+        path: &'a Path,
+        file: BufWriter<File>,
+        provenance: &Provenance,
+        log: &'a str,
+    ) -> Result<Self> {
+        let schema = schema();
+        let mut builder = properties(provenance.to_metadata("scans"))
+            .set_max_row_group_row_count(Some(SCANS_PER_GROUP));
+        for list in ["x_m", "y_m"] {
+            // Coordinates hardly repeat: no dictionary, no statistics; splitting the bytes of
+            // the floats puts sign and exponent, which do repeat, side by side for zstd.
+            let leaf = ColumnPath::new(vec![list.into(), "list".into(), "item".into()]);
+            builder = builder
+                .set_column_dictionary_enabled(leaf.clone(), false)
+                .set_column_statistics_enabled(leaf.clone(), EnabledStatistics::None)
+                .set_column_encoding(leaf, Encoding::BYTE_STREAM_SPLIT);
+        }
+        let mut properties = builder.build();
+        add_encoded_arrow_schema_to_metadata(&schema, &mut properties);
+        let failed = |e| write_error(path, e);
+        let parquet_schema = ArrowSchemaConverter::new().convert(&schema).map_err(failed)?;
+        let file =
+            SerializedFileWriter::new(file, parquet_schema.root_schema_ptr(), Arc::new(properties))
+                .map_err(failed)?;
+        let factory = ArrowRowGroupWriterFactory::new(&file, schema.clone());
+        Ok(Self { path, log, file, factory, schema, waiting: Vec::new(), n_scans: 0, n_groups: 0 })
+    }
+
+    /// Adds scans behind those already given.
+    pub fn push(&mut self, scans: impl IntoIterator<Item = Scan>) -> Result<()> {
+        self.waiting.extend(scans);
+        // Full groups are encoded as soon as there is one for each thread.
+        if self.waiting.len() >= SCANS_PER_GROUP * rayon::current_num_threads() {
+            self.write_groups(self.waiting.len() / SCANS_PER_GROUP * SCANS_PER_GROUP)?;
+        }
+        Ok(())
+    }
+
+    /// Number of scans given so far.
+    pub fn n_scans(&self) -> u32 {
+        self.n_scans + self.waiting.len() as u32
+    }
+
+    fn finish(mut self) -> Result<BufWriter<File>> {
+        self.write_groups(self.waiting.len())?;
+        self.file.into_inner().map_err(|e| write_error(self.path, e))
+    }
+
+    /// Encodes the first `n` waiting scans in parallel and appends them in order.
+    fn write_groups(&mut self, n: usize) -> Result<()> {
+        let scans: Vec<Scan> = self.waiting.drain(..n).collect();
+        let (log, schema, factory) = (self.log, &self.schema, &self.factory);
+        let (first_scan, first_group) = (self.n_scans, self.n_groups);
+        let groups = scans
+            .par_chunks(SCANS_PER_GROUP)
+            .enumerate()
+            .map(|(k, scans)| {
+                let first_scan = first_scan + (k * SCANS_PER_GROUP) as u32;
+                let columns = columns(log, first_scan, scans);
+                encode_group(schema, factory, first_group + k, &columns)
+            })
+            .collect::<Vec<_>>();
+        let failed = |e| write_error(self.path, e);
+        for group in groups {
+            let mut row_group = self.file.next_row_group().map_err(failed)?;
+            for chunk in group.map_err(failed)? {
+                chunk.append_to_row_group(&mut row_group).map_err(failed)?;
+            }
+            row_group.close().map_err(failed)?;
+            self.n_groups += 1;
+        }
+        self.n_scans += n as u32;
+        Ok(())
+    }
+}
+
+fn encode_group(
+    schema: &Schema,
+    factory: &ArrowRowGroupWriterFactory,
+    group: usize,
+    columns: &[ArrayRef],
+) -> std::result::Result<Vec<ArrowColumnChunk>, ParquetError> {
+    let writers = factory.create_column_writers(group)?;
+    let mut chunks = Vec::with_capacity(writers.len());
+    let mut writers = writers.into_iter();
+    for (field, column) in schema.fields().iter().zip(columns) {
+        for leaf in compute_leaves(field, column)? {
+            let mut writer = writers.next().expect("a writer for each leaf");
+            writer.write(&leaf)?;
+            chunks.push(writer.close()?);
+        }
+    }
+    Ok(chunks)
+}
+
+fn list_item() -> Arc<Field> {
+    Arc::new(Field::new("item", DataType::Float32, false))
+}
+
+fn schema() -> SchemaRef {
+    Arc::new(Schema::new(vec![
+        Field::new("log", DataType::Utf8, false),
+        Field::new("scan", DataType::UInt32, false),
+        Field::new("stamp_ns", DataType::Int64, false),
+        Field::new("x_m", DataType::List(list_item()), false),
+        Field::new("y_m", DataType::List(list_item()), false),
+        Field::new("coverage_deg", DataType::Float32, false),
+        Field::new("usable", DataType::Boolean, false),
+    ]))
+}
+
+/// The columns of [`schema`].
+fn columns(log: &str, first_scan: u32, scans: &[Scan]) -> Vec<ArrayRef> {
+    let n_returns = scans.iter().map(Scan::len).sum();
+    let lists = |values: fn(&Scan) -> &[f32]| -> ArrayRef {
+        let mut builder =
+            ListBuilder::with_capacity(Float32Builder::with_capacity(n_returns), scans.len())
+                .with_field(list_item());
+        for scan in scans {
+            builder.values().append_slice(values(scan));
+            builder.append(true);
+        }
+        Arc::new(builder.finish())
+    };
+    vec![
+        Arc::new(scans.iter().map(|_| Some(log)).collect::<StringArray>()),
+        Arc::new(UInt32Array::from_iter_values((first_scan..).take(scans.len()))),
+        Arc::new(Int64Array::from_iter_values(scans.iter().map(|s| s.stamp_ns))),
+        lists(|s| &s.x_m),
+        lists(|s| &s.y_m),
+        Arc::new(Float32Array::from_iter_values(scans.iter().map(|s| s.coverage_deg))),
+        Arc::new(scans.iter().map(|s| Some(s.check_usable().is_ok())).collect::<BooleanArray>()),
+    ]
+}
+
+/// Reads what is known of each scan without its points, in order.
+pub fn read_scan_headers(path: &Path) -> Result<(Vec<ScanHeader>, Provenance)> {
+    let (builder, provenance) = open_table(path, "scans")?;
+    let mask = ProjectionMask::columns(
+        builder.parquet_schema(),
+        ["scan", "stamp_ns", "coverage_deg", "usable"],
+    );
+    let reader = builder.with_projection(mask).build().map_err(|e| unreadable(path, "scans", e))?;
+    let mut headers: Vec<ScanHeader> = Vec::new();
+    for batch in reader {
+        let batch = batch.map_err(|e| unreadable(path, "scans", e))?;
+        let columns = Columns::new(path, &batch);
+        let scans = columns.numbers::<UInt32Type>("scan")?;
+        let stamps = columns.numbers::<Int64Type>("stamp_ns")?;
+        let coverage = columns.numbers::<Float32Type>("coverage_deg")?;
+        let usable = columns.column("usable")?;
+        let usable = usable.as_boolean_opt().ok_or_else(|| {
+            columns.error("usable", "a boolean column", usable.data_type().to_string())
+        })?;
+        for row in 0..batch.num_rows() {
+            if scans.value(row) as usize != headers.len() {
+                return Err(TableError::Row {
+                    path: path.to_owned(),
+                    row: headers.len(),
+                    detail: format!("scan {}, expected the row's own number", scans.value(row)),
+                });
+            }
+            headers.push(ScanHeader {
+                stamp_ns: stamps.value(row),
+                coverage_deg: coverage.value(row),
+                usable: usable.value(row),
+            });
+        }
+    }
+    Ok((headers, provenance))
+}
+
+/// Reads the given scans (ascending, unique numbers), handing them on a batch at a time.
+pub fn read_scans<E: From<TableError>>(
+    path: &Path,
+    scans: &[u32],
+    mut take: impl FnMut(Vec<Scan>) -> std::result::Result<(), E>,
+) -> std::result::Result<(), E> {
+    let (builder, _) = open_table(path, "scans")?;
+    let n_rows = usize::try_from(builder.metadata().file_metadata().num_rows()).unwrap_or(0);
+    let selection = row_selection(path, scans, n_rows)?;
+    let reader = builder
+        .with_row_selection(selection)
+        .with_batch_size(SCANS_PER_GROUP)
+        .build()
+        .map_err(|e| unreadable(path, "scans", e))?;
+    for batch in reader {
+        let batch = batch.map_err(|e| unreadable(path, "scans", e))?;
+        take(scans_of(path, &batch)?)?;
+    }
+    Ok(())
+}
+
+/// Skips and selects rows so that just `scans` remain.
+fn row_selection(path: &Path, scans: &[u32], n_rows: usize) -> Result<RowSelection> {
+    let mut selectors = Vec::with_capacity(2 * scans.len());
+    let mut next = 0;
+    for &scan in scans {
+        let scan = scan as usize;
+        if scan < next || n_rows <= scan {
+            return Err(TableError::Row {
+                path: path.to_owned(),
+                row: scan,
+                detail: format!("asked for out of order or beyond the table's {n_rows} rows"),
+            });
+        }
+        selectors.push(RowSelector::skip(scan - next));
+        selectors.push(RowSelector::select(1));
+        next = scan + 1;
+    }
+    Ok(RowSelection::from(selectors))
+}
+
+fn scans_of(path: &Path, batch: &RecordBatch) -> Result<Vec<Scan>> {
+    let columns = Columns::new(path, batch);
+    let stamps = columns.numbers::<Int64Type>("stamp_ns")?;
+    let coverage = columns.numbers::<Float32Type>("coverage_deg")?;
+    let lists = |name| -> Result<&ListArray> {
+        let column = columns.column(name)?;
+        column
+            .as_list_opt::<i32>()
+            .filter(|list| list.values().data_type() == &DataType::Float32)
+            .ok_or_else(|| columns.error(name, "a list of f32", column.data_type().to_string()))
+    };
+    let (x, y) = (lists("x_m")?, lists("y_m")?);
+    let values = |list: &ListArray, row: usize| {
+        list.value(row).as_primitive::<Float32Type>().values().to_vec()
+    };
+    (0..batch.num_rows())
+        .map(|row| {
+            let (x_m, y_m) = (values(x, row), values(y, row));
+            if x_m.len() != y_m.len() {
+                return Err(TableError::Row {
+                    path: path.to_owned(),
+                    row,
+                    detail: format!("{} x_m but {} y_m", x_m.len(), y_m.len()),
+                });
+            }
+            Ok(Scan { stamp_ns: stamps.value(row), x_m, y_m, coverage_deg: coverage.value(row) })
+        })
+        .collect()
+}

@@ -1,0 +1,216 @@
+//! Tables survive the disk, refuse what is not theirs, and are never half there.
+#![cfg(feature = "parquet")]
+
+use std::fs;
+use std::path::Path;
+
+use dataset::tables::scans::{read_scan_headers, read_scans, write_scans};
+use dataset::tables::{
+    FeatureTable, Provenance, TableError, read_features, read_keyframes, read_pairs, read_poses,
+    write_features, write_keyframes, write_pairs, write_poses,
+};
+use dataset::{Keyframe, Label, Pair, Pose2, Scan, ScanId, StampedPose, Trajectory};
+
+fn provenance() -> Provenance {
+    Provenance {
+        program_version: "0.1.0".into(),
+        seed: 2436,
+        options: serde_json::json!({"spacing_m": 0.5}),
+        inputs: [("a.mcap".to_owned(), "00ff".to_owned())].into(),
+    }
+}
+
+/// Scan `k` has `k % 7` returns.
+fn scan(k: u32) -> Scan {
+    let values = |offset: f32| (0..k % 7).map(|i| offset + i as f32 * (1 + i) as f32).collect();
+    Scan {
+        stamp_ns: i64::from(k) * 100,
+        x_m: values(0.5),
+        y_m: values(-3.0 * k as f32),
+        coverage_deg: 359.8,
+    }
+}
+
+fn write_n_scans(path: &Path, n: u32, batch: usize) {
+    let scans: Vec<Scan> = (0..n).map(scan).collect();
+    write_scans(path, &provenance(), "drive", |writer| {
+        for batch in scans.chunks(batch) {
+            writer.push(batch.iter().cloned())?;
+        }
+        assert_eq!(writer.n_scans(), n);
+        Ok::<_, TableError>(())
+    })
+    .unwrap();
+}
+
+fn keyframes() -> Vec<Keyframe> {
+    (0..3)
+        .map(|k| Keyframe {
+            id: ScanId { log: if k < 2 { "a" } else { "b" }.into(), scan: 7 * k },
+            site: "campus".into(),
+            stamp_ns: i64::from(k),
+            pose: Pose2 { x_m: f64::from(k), y_m: 0.1, heading_rad: -3.0 },
+            travel_m: 0.5 * f64::from(k),
+            coverage_deg: 359.9,
+        })
+        .collect()
+}
+
+#[test]
+fn scans_survive_and_can_be_picked() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scans/drive.parquet");
+    for n in [0, 1, 300, 1000] {
+        write_n_scans(&path, n, 97);
+        let (headers, found) = read_scan_headers(&path).unwrap();
+        assert_eq!(found, provenance());
+        assert_eq!(headers.len(), n as usize);
+        for (k, header) in headers.iter().enumerate() {
+            let expected = scan(k as u32);
+            assert_eq!((header.stamp_ns, header.coverage_deg), (expected.stamp_ns, 359.8));
+            assert_eq!(header.usable, expected.check_usable().is_ok());
+        }
+        let picked: Vec<u32> = (0..n).filter(|k| k % 3 == 1 || *k == n - 1).collect();
+        let mut read = Vec::new();
+        read_scans(&path, &picked, |batch| {
+            read.extend(batch);
+            Ok::<_, TableError>(())
+        })
+        .unwrap();
+        assert_eq!(read, picked.iter().map(|&k| scan(k)).collect::<Vec<_>>());
+    }
+    let beyond = read_scans(&path, &[1000], |_| Ok::<_, TableError>(()));
+    assert!(matches!(beyond, Err(TableError::Row { row: 1000, .. })));
+}
+
+#[test]
+fn scan_bytes_do_not_depend_on_batches_or_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let bytes = |threads: usize, batch: usize| {
+        let path = folder.path().join("scans.parquet");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| write_n_scans(&path, 777, batch));
+        fs::read(&path).unwrap()
+    };
+    let expected = bytes(1, 777);
+    for (threads, batch) in [(1, 10), (2, 333), (8, 129)] {
+        assert!(bytes(threads, batch) == expected, "{threads} threads, batches of {batch}");
+    }
+}
+
+#[test]
+fn a_failed_write_leaves_what_was_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("scans.parquet");
+    write_n_scans(&path, 5, 5);
+    let before = fs::read(&path).unwrap();
+    let failed = write_scans(&path, &provenance(), "drive", |writer| {
+        writer.push([scan(3)])?;
+        Err::<(), _>(TableError::Row { path: path.clone(), row: 0, detail: "stop".into() })
+    });
+    assert!(failed.is_err());
+    assert_eq!(fs::read(&path).unwrap(), before);
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no leftover");
+}
+
+#[test]
+fn nouns_survive() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+
+    let poses = (0..4).map(|k| StampedPose {
+        stamp_ns: k,
+        pose: Pose2 { x_m: 0.1 * k as f64, y_m: -1.0, heading_rad: 0.2 },
+    });
+    let (trajectory, _) = Trajectory::new(poses.collect());
+    write_poses(&at("poses"), &provenance(), "a", &trajectory).unwrap();
+    assert_eq!(read_poses(&at("poses")).unwrap(), (trajectory, provenance()));
+
+    let keyframes = keyframes();
+    write_keyframes(&at("keyframes"), &provenance(), &keyframes).unwrap();
+    assert_eq!(read_keyframes(&at("keyframes")).unwrap(), (keyframes.clone(), provenance()));
+
+    let pairs = vec![
+        Pair {
+            query: 1,
+            reference: 0,
+            label: Label::Positive,
+            distance_m: 1.0,
+            heading_difference_rad: Some(0.25),
+            travel_gap_m: 0.5,
+        },
+        Pair {
+            query: 2,
+            reference: 0,
+            label: Label::Negative,
+            distance_m: f64::INFINITY,
+            heading_difference_rad: None,
+            travel_gap_m: f64::INFINITY,
+        },
+    ];
+    write_pairs(&at("pairs"), &provenance(), &keyframes, &pairs).unwrap();
+    assert_eq!(read_pairs(&at("pairs"), &keyframes).unwrap(), (pairs, provenance()));
+    let message = read_pairs(&at("pairs"), &keyframes[..2]).unwrap_err().to_string();
+    assert!(message.contains("row 1: scan 14 of log `b` is no keyframe"), "{message}");
+
+    let table = FeatureTable {
+        names: vec!["centroid".into(), "size".into()],
+        ids: keyframes.iter().map(|k| k.id.clone()).collect(),
+        values: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0],
+    };
+    write_features(&at("features"), &provenance(), &table).unwrap();
+    let (read, _) = read_features(&at("features")).unwrap();
+    assert_eq!(read, table);
+    assert_eq!(read.row(1), [3.0, 4.0]);
+}
+
+#[test]
+fn what_is_not_the_table_asked_for_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("keyframes.parquet");
+    let message = || read_keyframes(&path).unwrap_err().to_string();
+    assert!(
+        message()
+            .contains("is missing; make it with `loopboost subsample PIPELINE.toml --out DIR`")
+    );
+
+    fs::write(&path, b"PAR1 but no table").unwrap();
+    assert!(message().contains("is not a readable Parquet table"), "{}", message());
+
+    write_poses(&path, &provenance(), "a", &Trajectory::default()).unwrap();
+    assert!(
+        message().contains("holds `poses`, expected a loopboost table of kind `keyframes`"),
+        "{}",
+        message()
+    );
+
+    write_keyframes(&path, &provenance(), &keyframes()).unwrap();
+    let whole = fs::read(&path).unwrap();
+    fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+    assert!(message().contains("is not a readable Parquet table"), "{}", message());
+}
+
+#[test]
+fn another_format_version_names_both_and_the_command() {
+    use arrow_array::{Int64Array, RecordBatch};
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("pairs.parquet");
+    let batch =
+        RecordBatch::try_from_iter([("x", std::sync::Arc::new(Int64Array::from(vec![1])) as _)])
+            .unwrap();
+    let metadata =
+        [("loopboost.kind", "pairs"), ("loopboost.format_version", "99")].map(|(key, value)| {
+            parquet::file::metadata::KeyValue::new(key.to_owned(), value.to_owned())
+        });
+    let properties = parquet::file::properties::WriterProperties::builder()
+        .set_key_value_metadata(Some(metadata.to_vec()))
+        .build();
+    let file = fs::File::create(&path).unwrap();
+    let mut writer =
+        parquet::arrow::ArrowWriter::try_new(file, batch.schema(), Some(properties)).unwrap();
+    writer.write(&batch).unwrap();
+    writer.close().unwrap();
+    let message = read_pairs(&path, &[]).unwrap_err().to_string();
+    assert!(message.contains("format version 99, this program reads version 1"), "{message}");
+    assert!(message.contains("`loopboost label PIPELINE.toml --out DIR`"), "{message}");
+}

@@ -1,0 +1,250 @@
+//! The data packet of the Velodyne HDL-32E.
+//!
+//! Source: HDL-32E User's Manual 63-9113 Rev. K, "Data Packet Format" and appendix "Firing
+//! sequence timing". All fields are little endian.
+//!
+//! ```text
+//! 12 blocks x 100 bytes:  flag 0xEEFF u16 | azimuth u16 [0.01 deg, clockwise] | 32 x (distance u16 [2 mm], intensity u8)
+//! then 6 bytes:           time u32 [us past the hour] | return mode u8 | product u8
+//! ```
+
+use crate::{MessageError, Result};
+
+/// Bytes of a data packet (UDP payload).
+pub const PACKET_BYTES: usize = 1206;
+/// Blocks (firings of all lasers) in a packet.
+pub const BLOCKS: usize = 12;
+/// Lasers in a block, in firing order.
+pub const LASERS: usize = 32;
+/// The laser whose beam is horizontal (0.00 deg), in firing order; ring 23 when sorted by elevation.
+pub const HORIZONTAL_LASER: usize = 15;
+/// First two bytes of every block.
+pub const BLOCK_FLAG: u16 = 0xEEFF;
+/// One count of a distance \[m\].
+pub const METRES_PER_COUNT: f64 = 0.002;
+/// Counts of azimuth in a full turn; one count is 0.01 deg.
+pub const AZIMUTH_COUNTS: u16 = 36_000;
+/// Time between two lasers of a block \[ns\].
+pub const LASER_PERIOD_NS: i64 = 1_152;
+/// Time between two blocks: 32 laser firings and 8 periods of recharge \[ns\].
+pub const BLOCK_PERIOD_NS: i64 = 46_080;
+/// Time that a packet spans; its stamp is its end \[ns\].
+pub const PACKET_PERIOD_NS: i64 = BLOCK_PERIOD_NS * BLOCKS as i64;
+/// Laser periods in a block period: the share of the azimuth step passed at laser `k` is `k / 40`.
+pub const PERIODS_PER_BLOCK: i64 = BLOCK_PERIOD_NS / LASER_PERIOD_NS;
+/// Microseconds in the hour that the device clock counts.
+pub const HOUR_US: u32 = 3_600_000_000;
+/// Product byte of an HDL-32E. Early VLP-16 send it too.
+pub const PRODUCT_HDL32E: u8 = 0x21;
+
+/// Elevation of each laser in firing order \[deg\] (manual, "Laser angles": from -30.67 to +10.67
+/// in steps of 4/3, the lower half interleaved with the upper).
+pub const ELEVATION_DEG: [f64; LASERS] = {
+    let mut deg = [0.0; LASERS];
+    let mut k = 0;
+    while k < LASERS {
+        let ring = if k % 2 == 0 { k / 2 } else { 16 + k / 2 };
+        deg[k] = -92.0 / 3.0 + ring as f64 * 4.0 / 3.0;
+        k += 1;
+    }
+    deg
+};
+
+/// The return-mode byte.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ReturnMode {
+    /// 0x37: the strongest return of each firing.
+    Strongest,
+    /// 0x38: the last return.
+    Last,
+    /// 0x39: blocks come in pairs of one azimuth: the last return, then the strongest.
+    Dual,
+}
+
+impl ReturnMode {
+    /// The byte on the wire.
+    pub fn byte(self) -> u8 {
+        match self {
+            Self::Strongest => 0x37,
+            Self::Last => 0x38,
+            Self::Dual => 0x39,
+        }
+    }
+
+    fn from_byte(byte: u8) -> Option<Self> {
+        match byte {
+            0x37 => Some(Self::Strongest),
+            0x38 => Some(Self::Last),
+            0x39 => Some(Self::Dual),
+            _ => None,
+        }
+    }
+}
+
+/// One data packet, borrowed from the message that holds it.
+#[derive(Debug, Clone, Copy)]
+pub struct Packet<'a> {
+    bytes: &'a [u8; PACKET_BYTES],
+}
+
+impl<'a> Packet<'a> {
+    /// Checks length, block flags and azimuths; every later access is then infallible.
+    pub fn new(bytes: &'a [u8]) -> Result<Self> {
+        let packet = Self {
+            bytes: bytes
+                .try_into()
+                .map_err(|_| MessageError::PacketLength { found: bytes.len() })?,
+        };
+        for block in 0..BLOCKS {
+            let found = packet.u16_at(block * 100);
+            if found != BLOCK_FLAG {
+                return Err(MessageError::BlockFlag { block, found });
+            }
+            let found = packet.azimuth(block);
+            if AZIMUTH_COUNTS <= found {
+                return Err(MessageError::Azimuth { block, found });
+            }
+        }
+        Ok(packet)
+    }
+
+    /// Azimuth of the block's first firing \[0.01 deg, clockwise\].
+    #[inline]
+    pub fn azimuth(&self, block: usize) -> u16 {
+        self.u16_at(block * 100 + 2)
+    }
+
+    /// Distance of one return \[2 mm\]; 0 is no return.
+    #[inline]
+    pub fn distance(&self, block: usize, laser: usize) -> u16 {
+        self.u16_at(block * 100 + 4 + laser * 3)
+    }
+
+    /// Intensity of one return, 0 to 255.
+    #[inline]
+    pub fn intensity(&self, block: usize, laser: usize) -> u8 {
+        self.bytes[block * 100 + 4 + laser * 3 + 2]
+    }
+
+    /// The device clock: microseconds past the hour.
+    #[inline]
+    pub fn device_time_us(&self) -> u32 {
+        let b = self.bytes;
+        u32::from_le_bytes([b[1200], b[1201], b[1202], b[1203]])
+    }
+
+    /// The return mode, none where the byte is unknown (older firmware).
+    pub fn return_mode(&self) -> Option<ReturnMode> {
+        ReturnMode::from_byte(self.bytes[1204])
+    }
+
+    /// The product byte; it can lie (see [`PRODUCT_HDL32E`]).
+    pub fn product(&self) -> u8 {
+        self.bytes[1205]
+    }
+
+    #[inline]
+    fn u16_at(&self, offset: usize) -> u16 {
+        u16::from_le_bytes([self.bytes[offset], self.bytes[offset + 1]])
+    }
+}
+
+/// A packet under construction: no returns, strongest mode, until set.
+#[derive(Debug, Clone)]
+pub struct PacketBuilder {
+    bytes: [u8; PACKET_BYTES],
+}
+
+impl PacketBuilder {
+    /// A packet without returns whose blocks have the given azimuths \[0.01 deg\].
+    pub fn new(azimuths: [u16; BLOCKS], device_time_us: u32) -> Self {
+        let mut bytes = [0; PACKET_BYTES];
+        for (block, azimuth) in azimuths.iter().enumerate() {
+            bytes[block * 100..][..2].copy_from_slice(&BLOCK_FLAG.to_le_bytes());
+            bytes[block * 100 + 2..][..2].copy_from_slice(&azimuth.to_le_bytes());
+        }
+        bytes[1200..1204].copy_from_slice(&device_time_us.to_le_bytes());
+        bytes[1204] = ReturnMode::Strongest.byte();
+        bytes[1205] = PRODUCT_HDL32E;
+        Self { bytes }
+    }
+
+    /// Sets one return: distance \[2 mm\] and intensity.
+    pub fn set_return(&mut self, block: usize, laser: usize, distance: u16, intensity: u8) {
+        let at = block * 100 + 4 + laser * 3;
+        self.bytes[at..at + 2].copy_from_slice(&distance.to_le_bytes());
+        self.bytes[at + 2] = intensity;
+    }
+
+    /// Sets the return-mode byte.
+    pub fn set_return_mode(&mut self, mode: ReturnMode) {
+        self.bytes[1204] = mode.byte();
+    }
+
+    /// The packet's bytes.
+    pub fn finish(self) -> [u8; PACKET_BYTES] {
+        self.bytes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn laser_15_is_the_horizontal_one_and_ring_23() {
+        assert!(ELEVATION_DEG[HORIZONTAL_LASER].abs() < 1e-12);
+        let below = ELEVATION_DEG.iter().filter(|&&deg| deg < -1e-9).count();
+        assert_eq!(below, 23);
+        // First three lasers of the manual's table: -30.67, -9.33, -29.33.
+        assert!((ELEVATION_DEG[0] + 30.667).abs() < 1e-3);
+        assert!((ELEVATION_DEG[1] + 9.333).abs() < 1e-3);
+        assert!((ELEVATION_DEG[2] + 29.333).abs() < 1e-3);
+    }
+
+    #[test]
+    fn a_packet_takes_552_960_ns() {
+        assert_eq!(PACKET_PERIOD_NS, 552_960);
+        assert_eq!(PERIODS_PER_BLOCK, 40);
+    }
+
+    #[test]
+    fn what_is_written_is_read() {
+        let azimuths = std::array::from_fn(|k| (35_990 + 17 * k as u16) % AZIMUTH_COUNTS);
+        let mut builder = PacketBuilder::new(azimuths, 3_599_999_999);
+        builder.set_return(11, 31, 0xABCD, 7);
+        builder.set_return(0, 15, 500, 200);
+        builder.set_return_mode(ReturnMode::Dual);
+        let bytes = builder.finish();
+        let packet = Packet::new(&bytes).unwrap();
+        assert_eq!(std::array::from_fn(|k| packet.azimuth(k)), azimuths);
+        assert_eq!(packet.distance(11, 31), 0xABCD);
+        assert_eq!(packet.intensity(11, 31), 7);
+        assert_eq!(packet.distance(0, 15), 500);
+        assert_eq!(packet.distance(0, 14), 0);
+        assert_eq!(packet.device_time_us(), 3_599_999_999);
+        assert_eq!(packet.return_mode(), Some(ReturnMode::Dual));
+        assert_eq!(packet.product(), PRODUCT_HDL32E);
+    }
+
+    #[test]
+    fn what_is_no_packet_is_refused() {
+        let good = PacketBuilder::new([0; BLOCKS], 0).finish();
+        assert_eq!(
+            Packet::new(&good[..512]).unwrap_err(),
+            MessageError::PacketLength { found: 512 }
+        );
+        let mut bad = good;
+        bad[301] = 0xDD;
+        assert_eq!(
+            Packet::new(&bad).unwrap_err(),
+            MessageError::BlockFlag { block: 3, found: 0xDDFF }
+        );
+        let mut bad = good;
+        bad[102..104].copy_from_slice(&36_000u16.to_le_bytes());
+        assert_eq!(
+            Packet::new(&bad).unwrap_err(),
+            MessageError::Azimuth { block: 1, found: 36_000 }
+        );
+    }
+}

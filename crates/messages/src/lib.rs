@@ -1,0 +1,64 @@
+//! What robot logs hold: the HDL-32E data packet ([`hdl32e`]) and the ROS messages around it
+//! ([`ros`]), read and written.
+//!
+//! Invariant: this crate knows neither files nor MCAP; it sees one message's bytes at a time.
+
+pub mod hdl32e;
+pub mod ros;
+pub mod schemas;
+
+/// What can be wrong with the bytes of one message or packet.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum MessageError {
+    /// The bytes end before the message does.
+    #[error("{message} ends at byte {found} where at least {expected} are needed")]
+    TooShort {
+        /// The message's type name.
+        message: &'static str,
+        /// Bytes needed so far.
+        expected: usize,
+        /// Bytes there are.
+        found: usize,
+    },
+    /// The four bytes before a CDR body name an encoding that is not plain CDR.
+    #[error(
+        "CDR encapsulation {found:#06x} is not supported, expected 0x0000 (big endian) or 0x0001 (little endian)"
+    )]
+    Encapsulation {
+        /// The two bytes found.
+        found: u16,
+    },
+    /// The body does not decode as the message its schema names.
+    #[error("bytes do not decode as {message}: {detail}")]
+    Malformed {
+        /// The message's type name.
+        message: &'static str,
+        /// What the decoder said.
+        detail: String,
+    },
+    /// A data packet of another length.
+    #[error("packet has {found} bytes, an HDL-32E data packet has {}", hdl32e::PACKET_BYTES)]
+    PacketLength {
+        /// Bytes found.
+        found: usize,
+    },
+    /// A block that does not start with the flag of the upper (and only) laser bank.
+    #[error("block {block} starts with {found:#06x}, an HDL-32E block with 0xeeff")]
+    BlockFlag {
+        /// Block, 0 to 11.
+        block: usize,
+        /// The flag found.
+        found: u16,
+    },
+    /// An azimuth that is no angle.
+    #[error("block {block} has azimuth {found}, expected 0 to 35999 hundredths of a degree")]
+    Azimuth {
+        /// Block, 0 to 11.
+        block: usize,
+        /// The azimuth found \[0.01 deg\].
+        found: u16,
+    },
+}
+
+/// `Result` of this crate.
+pub type Result<T> = std::result::Result<T, MessageError>;
