@@ -5,14 +5,18 @@
 //!
 //! Units: metres, radians and nanoseconds since the epoch, unless a name says otherwise.
 
+mod dropped;
 mod keyframe;
 mod pair;
 mod pose;
 mod scan;
+mod scores;
 #[cfg(feature = "parquet")]
 pub mod tables;
 
+pub use dropped::Dropped;
 pub use keyframe::{Keyframe, ScanId};
 pub use pair::{Label, Pair};
 pub use pose::{NoPose, Pose2, StampedPose, Trajectory, wrap_angle};
 pub use scan::{FULL_RING_DEG, RangeLimits, Scan, Unusable};
+pub use scores::{BoostingRound, Scores};

@@ -9,7 +9,7 @@ use dataset::tables::{
     FeatureTable, Provenance, TableError, read_features, read_keyframes, read_pairs, read_poses,
     write_features, write_keyframes, write_pairs, write_poses,
 };
-use dataset::{Keyframe, Label, Pair, Pose2, Scan, ScanId, StampedPose, Trajectory};
+use dataset::{Dropped, Keyframe, Label, Pair, Pose2, Scan, ScanId, StampedPose, Trajectory};
 
 fn provenance() -> Provenance {
     Provenance {
@@ -17,6 +17,7 @@ fn provenance() -> Provenance {
         seed: 2436,
         options: serde_json::json!({"spacing_m": 0.5}),
         inputs: [("a.mcap".to_owned(), "00ff".to_owned())].into(),
+        dropped: Dropped::default(),
     }
 }
 

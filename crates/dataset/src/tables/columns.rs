@@ -42,12 +42,16 @@ impl<'a> Columns<'a> {
     }
 
     pub(super) fn strings(&self, name: &str) -> Result<&'a StringArray> {
-        let column = self.column(name)?;
-        let array = column
-            .as_string_opt::<i32>()
-            .ok_or_else(|| self.error(name, "a string column", column.data_type().to_string()))?;
+        let array = self.nullable_strings(name)?;
         self.check_no_nulls(name, array)?;
         Ok(array)
+    }
+
+    pub(super) fn nullable_strings(&self, name: &str) -> Result<&'a StringArray> {
+        let column = self.column(name)?;
+        column
+            .as_string_opt::<i32>()
+            .ok_or_else(|| self.error(name, "a string column", column.data_type().to_string()))
     }
 
     pub(super) fn error(&self, column: &str, expected: &'static str, found: String) -> TableError {

@@ -7,6 +7,8 @@
 //!   keyframes.parquet        a kept scan a row
 //!   pairs.parquet            a labelled pair a row
 //!   features.parquet         a keyframe's features a row
+//!   scores.parquet           a pair under a learner a row: cross-validated confidences
+//!   rounds.parquet           a round of boosting a row
 //!   evaluation/*.parquet     what `evaluate` measured
 //! ```
 //!
@@ -18,15 +20,17 @@ mod file;
 mod nouns;
 mod provenance;
 pub mod scans;
+mod scores;
 
 use std::path::PathBuf;
 
 pub use file::{digest_file, read_table, write_atomically, write_table};
 pub use nouns::{
-    FeatureTable, read_features, read_keyframes, read_pairs, read_poses, write_features,
+    FeatureTable, batch, read_features, read_keyframes, read_pairs, read_poses, write_features,
     write_keyframes, write_pairs, write_poses,
 };
 pub use provenance::{FORMAT_VERSION, Provenance};
+pub use scores::{read_rounds, read_scores, write_rounds, write_scores};
 
 /// What can be wrong with a table.
 #[derive(Debug, thiserror::Error)]
@@ -117,6 +121,7 @@ fn command_for(kind: &str) -> String {
         "keyframes" => "subsample",
         "pairs" => "label",
         "features" => "featurize",
+        "scores" | "rounds" => "train",
         _ => "evaluate",
     };
     format!("loopboost {stage} PIPELINE.toml --out DIR")

@@ -15,8 +15,11 @@ use super::columns::Columns;
 use super::{Provenance, Result, TableError, read_table, write_table};
 use crate::{Keyframe, Label, Pair, Pose2, ScanId, StampedPose, Trajectory};
 
-/// A batch of named columns; those named in `nullable` may hold nulls.
-fn batch(columns: Vec<(&str, ArrayRef)>, nullable: &[&str]) -> RecordBatch {
+/// A batch of named columns of one length; those named in `nullable` may hold nulls.
+///
+/// # Panics
+/// If the columns differ in length, or one that is not named in `nullable` holds a null.
+pub fn batch(columns: Vec<(&str, ArrayRef)>, nullable: &[&str]) -> RecordBatch {
     let fields: Vec<Field> = columns
         .iter()
         .map(|(name, array)| Field::new(*name, array.data_type().clone(), nullable.contains(name)))
@@ -26,7 +29,7 @@ fn batch(columns: Vec<(&str, ArrayRef)>, nullable: &[&str]) -> RecordBatch {
         .expect("columns are of one length and without stray nulls")
 }
 
-fn strings<'a>(values: impl Iterator<Item = &'a str>) -> ArrayRef {
+pub(super) fn strings<'a>(values: impl Iterator<Item = &'a str>) -> ArrayRef {
     Arc::new(values.map(Some).collect::<StringArray>())
 }
 
@@ -246,7 +249,7 @@ pub fn read_features(path: &Path) -> Result<(FeatureTable, Provenance)> {
 }
 
 /// Reads the two columns that name a scan.
-fn scan_ids(columns: &Columns<'_>, log: &str, scan: &str) -> Result<Vec<ScanId>> {
+pub(super) fn scan_ids(columns: &Columns<'_>, log: &str, scan: &str) -> Result<Vec<ScanId>> {
     let logs = columns.strings(log)?;
     let scans = columns.numbers::<UInt32Type>(scan)?;
     let mut names = Names::default();

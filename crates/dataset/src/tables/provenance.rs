@@ -3,6 +3,8 @@ use std::collections::BTreeMap;
 use parquet::file::metadata::KeyValue;
 use serde_json::Value;
 
+use crate::Dropped;
+
 /// Version of the table formats; a table of another version is not read.
 pub const FORMAT_VERSION: u32 = 1;
 
@@ -16,6 +18,7 @@ pub const FORMAT_VERSION: u32 = 1;
 /// | `loopboost.seed` | the run's seed |
 /// | `loopboost.options` | the stage's options, resolved, as JSON |
 /// | `loopboost.inputs` | JSON object: input file to BLAKE3 digest, hex |
+/// | `loopboost.dropped` | JSON object: reason to count of what the stage had to leave out |
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Provenance {
     /// Version of the program that wrote the table.
@@ -26,6 +29,8 @@ pub struct Provenance {
     pub options: Value,
     /// Inputs, by their name in the run folder (logs: by file name), with their BLAKE3 digests.
     pub inputs: BTreeMap<String, String>,
+    /// What the stage left out.
+    pub dropped: Dropped,
 }
 
 impl Provenance {
@@ -38,6 +43,7 @@ impl Provenance {
             entry("seed", self.seed.to_string()),
             entry("options", self.options.to_string()),
             entry("inputs", serde_json::json!(self.inputs).to_string()),
+            entry("dropped", serde_json::json!(self.dropped).to_string()),
         ]
     }
 
@@ -48,6 +54,7 @@ impl Provenance {
             seed: get("seed")?.parse().ok()?,
             options: serde_json::from_str(&get("options")?).ok()?,
             inputs: serde_json::from_str(&get("inputs")?).ok()?,
+            dropped: serde_json::from_str(&get("dropped")?).ok()?,
         })
     }
 }

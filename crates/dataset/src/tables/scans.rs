@@ -37,7 +37,7 @@ use rayon::prelude::*;
 use super::columns::Columns;
 use super::file::{open_table, properties, unreadable, write_error};
 use super::{Provenance, Result, TableError, write_atomically};
-use crate::Scan;
+use crate::{Dropped, Scan};
 
 /// Rows in a row group; fixed, so that the bytes do not depend on how scans arrive.
 const SCANS_PER_GROUP: usize = 128;
@@ -77,6 +77,8 @@ pub struct ScanWriter<'a> {
     file: SerializedFileWriter<BufWriter<File>>,
     factory: ArrowRowGroupWriterFactory,
     schema: SchemaRef,
+    provenance: Provenance,
+    dropped: Dropped,
     waiting: Vec<Scan>,
     n_scans: u32,
     n_groups: usize,
@@ -90,8 +92,7 @@ impl<'a> ScanWriter<'a> {
         log: &'a str,
     ) -> Result<Self> {
         let schema = schema();
-        let mut builder = properties(provenance.to_metadata("scans"))
-            .set_max_row_group_row_count(Some(SCANS_PER_GROUP));
+        let mut builder = properties(Vec::new()).set_max_row_group_row_count(Some(SCANS_PER_GROUP));
         for list in ["x_m", "y_m"] {
             // Coordinates hardly repeat: no dictionary, no statistics; splitting the bytes of
             // the floats puts sign and exponent, which do repeat, side by side for zstd.
@@ -109,7 +110,18 @@ impl<'a> ScanWriter<'a> {
             SerializedFileWriter::new(file, parquet_schema.root_schema_ptr(), Arc::new(properties))
                 .map_err(failed)?;
         let factory = ArrowRowGroupWriterFactory::new(&file, schema.clone());
-        Ok(Self { path, log, file, factory, schema, waiting: Vec::new(), n_scans: 0, n_groups: 0 })
+        Ok(Self {
+            path,
+            log,
+            file,
+            factory,
+            schema,
+            provenance: provenance.clone(),
+            dropped: Dropped::default(),
+            waiting: Vec::new(),
+            n_scans: 0,
+            n_groups: 0,
+        })
     }
 
     /// Adds scans behind those already given.
@@ -127,8 +139,17 @@ impl<'a> ScanWriter<'a> {
         self.n_scans + self.waiting.len() as u32
     }
 
+    /// Records in the table's provenance what had to be left out of it.
+    pub fn set_dropped(&mut self, dropped: Dropped) {
+        self.dropped = dropped;
+    }
+
     fn finish(mut self) -> Result<BufWriter<File>> {
         self.write_groups(self.waiting.len())?;
+        let provenance = Provenance { dropped: self.dropped, ..self.provenance };
+        for entry in provenance.to_metadata("scans") {
+            self.file.append_key_value_metadata(entry);
+        }
         self.file.into_inner().map_err(|e| write_error(self.path, e))
     }
 

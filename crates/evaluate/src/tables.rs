@@ -1,0 +1,123 @@
+//! `evaluation/*.parquet`.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use arrow_array::{ArrayRef, Float64Array, Int8Array, StringArray, UInt32Array, UInt64Array};
+use dataset::tables::{Provenance, Result, batch, write_table};
+
+use crate::{Evaluation, Input};
+
+/// Writes `errors`, `precision_recall`, `selection` and `mistakes` into a folder.
+///
+/// | table | a row is | columns |
+/// |---|---|---|
+/// | `errors` | a learner after T rounds | `learner`, `grouping`, `rounds`, `error`, `precision` (null where no pair is called positive), `recall`, and the four counts |
+/// | `precision_recall` | a threshold | `learner`, `grouping`, `rounds`, `threshold`, `precision`, `recall`, `false_alarm` |
+/// | `selection` | a round of a fit | `learner`, `grouping`, `fold` (both null: fitted on all pairs), `round`, `feature`, `threshold`, `weighted_error`, `error` (cross-validated, after this round; only where fitted on all pairs) |
+/// | `mistakes` | a wrongly labelled pair, worst first | `learner`, `grouping`, the pair's names, `label`, `confidence`, `distance_m` |
+pub fn write_tables(
+    folder: &Path,
+    provenance: &Provenance,
+    input: &Input<'_>,
+    evaluation: &Evaluation,
+) -> Result<()> {
+    let write = |name: &str, columns: Vec<(&str, ArrayRef)>, nullable: &[&str]| {
+        let path = folder.join(format!("{name}.parquet"));
+        write_table(&path, name, provenance, &batch(columns, nullable))
+    };
+
+    let rows = &evaluation.errors;
+    let count = |of: fn(&crate::Confusion) -> usize| -> ArrayRef {
+        Arc::new(UInt64Array::from_iter_values(rows.iter().map(|r| of(&r.confusion) as u64)))
+    };
+    let columns: Vec<(&str, ArrayRef)> = vec![
+        ("learner", strings(rows.iter().map(|r| &*r.learner))),
+        ("grouping", strings(rows.iter().map(|r| &*r.grouping))),
+        ("rounds", Arc::new(UInt32Array::from_iter_values(rows.iter().map(|r| r.rounds as u32)))),
+        ("error", floats(rows.iter().map(|r| r.confusion.error()))),
+        (
+            "precision",
+            Arc::new(rows.iter().map(|r| r.confusion.precision()).collect::<Float64Array>()),
+        ),
+        ("recall", floats(rows.iter().map(|r| r.confusion.recall()))),
+        ("true_positive", count(|c| c.true_positive)),
+        ("false_positive", count(|c| c.false_positive)),
+        ("true_negative", count(|c| c.true_negative)),
+        ("false_negative", count(|c| c.false_negative)),
+    ];
+    write("errors", columns, &["precision"])?;
+
+    let rows =
+        || evaluation.precision_recall.iter().flat_map(|c| c.points.iter().map(move |p| (c, p)));
+    let columns: Vec<(&str, ArrayRef)> = vec![
+        ("learner", strings(rows().map(|(c, _)| &*c.learner))),
+        ("grouping", strings(rows().map(|(c, _)| &*c.grouping))),
+        ("rounds", Arc::new(UInt32Array::from_iter_values(rows().map(|(c, _)| c.rounds as u32)))),
+        ("threshold", floats(rows().map(|(_, p)| p.threshold))),
+        // Every point calls at least one pair positive.
+        ("precision", floats(rows().map(|(_, p)| p.confusion.precision().unwrap_or(0.0)))),
+        ("recall", floats(rows().map(|(_, p)| p.confusion.recall()))),
+        ("false_alarm", floats(rows().map(|(_, p)| p.confusion.false_alarm()))),
+    ];
+    write("precision_recall", columns, &[])?;
+
+    let rows = input.rounds;
+    let error_after = |r: &dataset::BoostingRound| {
+        let of_all = r.left_out.is_none();
+        let row = evaluation
+            .errors
+            .iter()
+            .find(|e| of_all && e.learner == r.learner && e.rounds == r.round as usize);
+        row.map(|e| e.confusion.error())
+    };
+    let columns: Vec<(&str, ArrayRef)> = vec![
+        ("learner", strings(rows.iter().map(|r| &*r.learner))),
+        (
+            "grouping",
+            Arc::new(
+                rows.iter().map(|r| r.left_out.as_ref().map(|l| &*l.0)).collect::<StringArray>(),
+            ),
+        ),
+        (
+            "fold",
+            Arc::new(
+                rows.iter().map(|r| r.left_out.as_ref().map(|l| l.1)).collect::<UInt32Array>(),
+            ),
+        ),
+        ("round", Arc::new(UInt32Array::from_iter_values(rows.iter().map(|r| r.round)))),
+        ("feature", strings(rows.iter().map(|r| &*r.feature))),
+        ("threshold", Arc::new(rows.iter().map(|r| r.threshold).collect::<Float64Array>())),
+        ("weighted_error", floats(rows.iter().map(|r| r.weighted_error))),
+        ("error", Arc::new(rows.iter().map(error_after).collect::<Float64Array>())),
+    ];
+    write("selection", columns, &["grouping", "fold", "threshold", "error"])?;
+
+    let rows = &evaluation.mistakes;
+    let pair = |m: &crate::Mistake| &input.pairs[m.pair];
+    let query = |m: &crate::Mistake| &input.keyframes[pair(m).query].id;
+    let reference = |m: &crate::Mistake| &input.keyframes[pair(m).reference].id;
+    let columns: Vec<(&str, ArrayRef)> = vec![
+        ("learner", strings(rows.iter().map(|m| &*m.learner))),
+        ("grouping", strings(rows.iter().map(|m| &*m.grouping))),
+        ("query_log", strings(rows.iter().map(|m| &*query(m).log))),
+        ("query_scan", Arc::new(UInt32Array::from_iter_values(rows.iter().map(|m| query(m).scan)))),
+        ("reference_log", strings(rows.iter().map(|m| &*reference(m).log))),
+        (
+            "reference_scan",
+            Arc::new(UInt32Array::from_iter_values(rows.iter().map(|m| reference(m).scan))),
+        ),
+        ("label", Arc::new(Int8Array::from_iter_values(rows.iter().map(|m| pair(m).label.sign())))),
+        ("confidence", floats(rows.iter().map(|m| m.confidence))),
+        ("distance_m", floats(rows.iter().map(|m| pair(m).distance_m))),
+    ];
+    write("mistakes", columns, &[])
+}
+
+fn strings<'a>(values: impl Iterator<Item = &'a str>) -> ArrayRef {
+    Arc::new(values.map(Some).collect::<StringArray>())
+}
+
+fn floats(values: impl Iterator<Item = f64>) -> ArrayRef {
+    Arc::new(Float64Array::from_iter_values(values))
+}

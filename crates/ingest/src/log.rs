@@ -1,0 +1,382 @@
+//! The structure of an MCAP log: channels, and the pieces that hold messages.
+//!
+//! An intact log is read through its summary. A log without one (cut, or its writer died) is
+//! walked record by record from its start; so are the stretches of an intact log that no chunk
+//! index covers, since messages may stand outside chunks. Nothing in the file is skipped unseen.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use dataset::Dropped;
+use mcap::records::{Record, op};
+use memmap2::{Advice, Mmap, UncheckedAdvice};
+use messages::ros::{Encoding, MessageType};
+
+use crate::IngestError;
+use crate::chunk::{self, Buffer};
+
+/// A memory-mapped log.
+#[derive(Debug)]
+pub struct Log {
+    path: PathBuf,
+    bytes: Mmap,
+}
+
+/// A channel of a log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Channel {
+    /// The topic.
+    pub topic: String,
+    /// How its messages are encoded: `cdr`, `ros1`, ...
+    pub message_encoding: String,
+    /// The schema's name; empty where the channel has none.
+    pub schema: String,
+    /// Number of messages, where the log says so.
+    pub n_messages: Option<u64>,
+}
+
+/// What a log holds.
+#[derive(Debug, Clone, Default)]
+pub struct Contents {
+    /// Channels by their number.
+    pub channels: BTreeMap<u16, Channel>,
+    /// Time of the first and the last message \[ns\], where the log says so.
+    pub time_range_ns: Option<(u64, u64)>,
+    /// What of the log's structure is broken.
+    pub dropped: Dropped,
+    pieces: Vec<Piece>,
+}
+
+/// A stretch of the file that holds messages.
+#[derive(Debug, Clone)]
+pub(crate) struct Piece {
+    pub(crate) kind: PieceKind,
+    pub(crate) range: Range<usize>,
+    /// Channels with messages in it, where the index says so.
+    channels: Option<BTreeSet<u16>>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum PieceKind {
+    /// The body of a whole chunk record.
+    Chunk,
+    /// A chunk record, from its opcode on, that the end of the file cuts.
+    CutChunk,
+    /// One message record's body, outside any chunk.
+    Message,
+}
+
+impl Piece {
+    pub(crate) fn end(&self) -> usize {
+        self.range.end
+    }
+}
+
+/// How the messages of one channel are to be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Source {
+    pub(crate) message_type: MessageType,
+    pub(crate) encoding: Encoding,
+}
+
+/// A topic that a stage asked for; several channels can carry it.
+#[derive(Debug, Clone)]
+pub(crate) struct Topic {
+    pub(crate) name: String,
+    sources: BTreeMap<u16, Source>,
+}
+
+impl Topic {
+    #[inline]
+    pub(crate) fn source(&self, channel: u16) -> Option<Source> {
+        self.sources.get(&channel).copied()
+    }
+}
+
+/// What a cut file lacks, as a reason.
+const CUT: &str =
+    "ends of the log cut off (no footer: the recorder stopped early or the copy is incomplete)";
+
+impl Log {
+    /// Maps a file and checks that it starts as MCAP does.
+    pub fn open(path: &Path) -> Result<Self, IngestError> {
+        let failed = |source| IngestError::Open { path: path.to_owned(), source };
+        let file = File::open(path).map_err(failed)?;
+        // SAFETY: the map is read-only. Should another process cut the file while it is mapped,
+        // the system ends this one; a log that is still being written is not for batch work.
+        let bytes = unsafe { Mmap::map(&file) }.map_err(failed)?;
+        if !bytes.starts_with(mcap::MAGIC) {
+            let first = bytes.iter().take(8).map(|b| format!("{b:02x}")).collect::<Vec<_>>();
+            let found = if first.is_empty() { "nothing".to_owned() } else { first.join(" ") };
+            return Err(IngestError::NotMcap { path: path.to_owned(), found });
+        }
+        // Advice is a hint; without it the log is read all the same.
+        let _ = bytes.advise(Advice::Sequential);
+        Ok(Self { path: path.to_owned(), bytes })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The file's bytes.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// Tells the system that the bytes before `end` are not needed in memory any more.
+    pub(crate) fn forget_up_to(&self, end: usize) {
+        const PAGE: usize = 4096;
+        let whole_pages = end / PAGE * PAGE;
+        // SAFETY: the map is read-only and shared; a page dropped here is read again if touched.
+        let _ =
+            unsafe { self.bytes.unchecked_advise_range(UncheckedAdvice::DontNeed, 0, whole_pages) };
+    }
+
+    /// Reads the log's structure; its messages stay unread.
+    pub fn contents(&self) -> Contents {
+        self.indexed_contents().unwrap_or_else(|| self.walked_contents())
+    }
+
+    /// From the summary; none where it is absent or contradicts the file.
+    fn indexed_contents(&self) -> Option<Contents> {
+        let bytes = self.bytes();
+        let summary = mcap::Summary::read(bytes).ok()??;
+        let counts = summary.stats.as_ref().map(|stats| &stats.channel_message_counts);
+        let channels: BTreeMap<u16, Channel> = summary
+            .channels
+            .iter()
+            .map(|(&id, channel)| {
+                let schema = channel.schema.as_ref().map_or("", |schema| schema.name.as_str());
+                let channel = Channel {
+                    topic: channel.topic.clone(),
+                    message_encoding: channel.message_encoding.clone(),
+                    schema: schema.to_owned(),
+                    n_messages: counts.map(|counts| counts.get(&id).copied().unwrap_or(0)),
+                };
+                (id, channel)
+            })
+            .collect();
+
+        let mut indexes: Vec<_> = summary.chunk_indexes.iter().collect();
+        indexes.sort_by_key(|index| index.chunk_start_offset);
+        let mut contents = Contents {
+            channels,
+            time_range_ns: summary
+                .stats
+                .as_ref()
+                .map(|stats| (stats.message_start_time, stats.message_end_time)),
+            ..Contents::default()
+        };
+        let mut at = mcap::MAGIC.len();
+        for index in indexes {
+            let start = usize::try_from(index.chunk_start_offset).ok()?;
+            let end = start.checked_add(usize::try_from(index.chunk_length).ok()?)?;
+            let record = record_at(bytes, start)?;
+            if record.opcode != op::CHUNK || record.body.end != end || start < at {
+                return None;
+            }
+            let known =
+                index.message_index_offsets.keys().all(|id| contents.channels.contains_key(id));
+            if !known {
+                return None;
+            }
+            self.walk(at..start, &mut contents);
+            contents.pieces.push(Piece {
+                kind: PieceKind::Chunk,
+                range: record.body,
+                // A writer may leave out message indexes; then the chunk has to be looked into.
+                channels: (!index.message_index_offsets.is_empty())
+                    .then(|| index.message_index_offsets.keys().copied().collect()),
+            });
+            at = end;
+        }
+        // Up to the end of the data section or of the file, whatever comes first.
+        self.walk(at..bytes.len(), &mut contents);
+        Some(contents)
+    }
+
+    /// By walking the whole file, looking into every chunk for its channels.
+    fn walked_contents(&self) -> Contents {
+        let mut contents = Contents::default();
+        self.walk(mcap::MAGIC.len()..self.bytes.len(), &mut contents);
+        let mut schemas = BTreeMap::new();
+        let mut channels: BTreeMap<u16, mcap::records::Channel> = BTreeMap::new();
+        let mut counts: BTreeMap<u16, u64> = BTreeMap::new();
+        let mut define = |record: Record<'_>| match record {
+            Record::Schema { header, .. } => {
+                schemas.entry(header.id).or_insert(header.name);
+            }
+            Record::Channel(channel) => {
+                channels.entry(channel.id).or_insert(channel);
+            }
+            Record::Message { header, .. } => *counts.entry(header.channel_id).or_default() += 1,
+            _ => {}
+        };
+        for record in records(self.bytes(), mcap::MAGIC.len()..self.bytes.len()) {
+            if matches!(record.opcode, op::SCHEMA | op::CHANNEL)
+                && let Ok(parsed) = mcap::parse_record(record.opcode, &self.bytes()[record.body])
+            {
+                define(parsed);
+            }
+        }
+        let mut buffer = Buffer::default();
+        for piece in &contents.pieces {
+            // What is broken is counted when the messages are read.
+            chunk::records(self.bytes(), piece, &mut buffer, &mut define);
+        }
+        contents.channels = channels
+            .into_iter()
+            .map(|(id, channel)| {
+                let channel = Channel {
+                    topic: channel.topic,
+                    message_encoding: channel.message_encoding,
+                    schema: schemas.get(&channel.schema_id).cloned().unwrap_or_default(),
+                    n_messages: Some(counts.get(&id).copied().unwrap_or(0)),
+                };
+                (id, channel)
+            })
+            .collect();
+        contents
+    }
+
+    /// Adds the messages and chunks of a stretch of top-level records.
+    fn walk(&self, range: Range<usize>, contents: &mut Contents) {
+        let to_end_of_file = range.end == self.bytes.len();
+        let mut at = range.start;
+        let mut ended = false;
+        for record in records(self.bytes(), range.clone()) {
+            at = record.body.end;
+            let kind = match record.opcode {
+                op::CHUNK => PieceKind::Chunk,
+                op::MESSAGE => PieceKind::Message,
+                op::DATA_END | op::FOOTER => {
+                    ended = true;
+                    break;
+                }
+                _ => continue,
+            };
+            contents.pieces.push(Piece { kind, range: record.body, channels: None });
+        }
+        if !to_end_of_file && at != range.end {
+            contents.dropped.add("stretches between chunks that hold no records", 1);
+        }
+        if to_end_of_file && !ended {
+            contents.dropped.add(CUT, 1);
+            if self.bytes.get(at) == Some(&op::CHUNK) {
+                let range = at..self.bytes.len();
+                contents.pieces.push(Piece { kind: PieceKind::CutChunk, range, channels: None });
+            }
+        }
+    }
+}
+
+impl Contents {
+    /// Finds the channels of a topic and how to read them.
+    pub(crate) fn topic(
+        &self,
+        log: &Log,
+        name: &str,
+        key: &'static str,
+        types: &[MessageType],
+    ) -> Result<Topic, IngestError> {
+        let source = |channel: &Channel| {
+            let message_type = MessageType::from_schema_name(&channel.schema)?;
+            let encoding = Encoding::from_name(&channel.message_encoding)?;
+            types.contains(&message_type).then_some(Source { message_type, encoding })
+        };
+        let topics = |fits: &dyn Fn(&Channel) -> bool| {
+            let fitting: BTreeSet<String> = self
+                .channels
+                .values()
+                .filter(|channel| fits(channel))
+                .map(|channel| format!("`{}` ({})", channel.topic, channel.describe()))
+                .collect();
+            fitting.into_iter().collect::<Vec<_>>().join(", ")
+        };
+        let suitable = || match topics(&|channel| source(channel).is_some()) {
+            none if none.is_empty() => format!(
+                "none would do; the log has {}",
+                match topics(&|_| true) {
+                    none if none.is_empty() => "no topic at all".to_owned(),
+                    all => all,
+                }
+            ),
+            some => some,
+        };
+        let channels: Vec<_> = self.channels.iter().filter(|(_, c)| c.topic == name).collect();
+        if channels.is_empty() {
+            return Err(IngestError::NoTopic {
+                path: log.path().to_owned(),
+                topic: name.to_owned(),
+                key,
+                topics: suitable(),
+            });
+        }
+        let mut sources = BTreeMap::new();
+        for (&id, channel) in channels {
+            let Some(source) = source(channel) else {
+                return Err(IngestError::WrongType {
+                    path: log.path().to_owned(),
+                    topic: name.to_owned(),
+                    key,
+                    found: channel.describe(),
+                    expected: match key {
+                        "ingest.pose.topic" => "`PoseStamped` or `Odometry` as `cdr` or `ros1`",
+                        _ => "`VelodyneScan` or `LaserScan` as `cdr` or `ros1`",
+                    },
+                    topics: suitable(),
+                });
+            };
+            sources.insert(id, source);
+        }
+        Ok(Topic { name: name.to_owned(), sources })
+    }
+
+    /// The pieces that hold, or may hold, messages of the topics.
+    pub(crate) fn pieces_with(&self, lidar: &Topic, pose: Option<&Topic>) -> Vec<&Piece> {
+        let wanted = |id: &u16| {
+            lidar.sources.contains_key(id) || pose.is_some_and(|pose| pose.sources.contains_key(id))
+        };
+        self.pieces
+            .iter()
+            .filter(|piece| piece.channels.as_ref().is_none_or(|ids| ids.iter().any(wanted)))
+            .collect()
+    }
+}
+
+impl Channel {
+    /// Schema and encoding, for messages.
+    pub fn describe(&self) -> String {
+        let schema = if self.schema.is_empty() { "no schema" } else { &self.schema };
+        format!("{schema}, {}", self.message_encoding)
+    }
+}
+
+/// A top-level record: where its body lies.
+struct RawRecord {
+    opcode: u8,
+    body: Range<usize>,
+}
+
+/// The record that starts at `at`; none where the file ends before it does.
+fn record_at(bytes: &[u8], at: usize) -> Option<RawRecord> {
+    let opcode = *bytes.get(at)?;
+    let length = bytes.get(at + 1..at + 9)?.try_into().ok()?;
+    let start = at + 9;
+    let end = start.checked_add(usize::try_from(u64::from_le_bytes(length)).ok()?)?;
+    (end <= bytes.len()).then_some(RawRecord { opcode, body: start..end })
+}
+
+/// The records that lie wholly within a stretch of the file.
+fn records(bytes: &[u8], range: Range<usize>) -> impl Iterator<Item = RawRecord> {
+    let mut at = range.start;
+    std::iter::from_fn(move || {
+        let record = record_at(&bytes[..range.end], at)?;
+        at = record.body.end;
+        Some(record)
+    })
+}

@@ -1,0 +1,81 @@
+//! A `LaserScan` message -> a scan.
+
+use dataset::Scan;
+use messages::ros::{self, Encoding};
+
+use crate::LidarOptions;
+
+/// Beam `i` points to `angle_min + i angle_increment`; a reading outside the message's own range
+/// limits or the options' is no return (`sensor_msgs/LaserScan`, REP 117).
+pub(crate) fn scan(
+    encoding: Encoding,
+    data: &[u8],
+    options: &LidarOptions,
+) -> messages::Result<Scan> {
+    let message = ros::read_laser_scan(encoding, data)?;
+    // Compared as the message's own f32, so that a reading at a limit is within it.
+    let limits = options.range_min_m as f32..=options.range_max_m as f32;
+    let own_limits = message.range_min..=message.range_max;
+    let increment = f64::from(message.angle_increment);
+    let side = if options.upside_down { -1.0 } else { 1.0 };
+    let mut scan = Scan {
+        stamp_ns: message.stamp_ns,
+        coverage_deg: (increment.abs() * message.ranges.len().saturating_sub(1) as f64).to_degrees()
+            as f32,
+        ..Scan::default()
+    };
+    for (beam, &range) in message.ranges.iter().enumerate() {
+        if own_limits.contains(&range) && limits.contains(&range) {
+            let (sin, cos) = (f64::from(message.angle_min) + beam as f64 * increment).sin_cos();
+            scan.x_m.push((f64::from(range) * cos) as f32);
+            scan.y_m.push((f64::from(range) * sin * side) as f32);
+        }
+    }
+    Ok(scan)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f32::consts::FRAC_PI_2;
+
+    fn message(ranges: Vec<f32>) -> ros::LaserScan {
+        ros::LaserScan {
+            stamp_ns: 77,
+            angle_min: -FRAC_PI_2,
+            angle_increment: FRAC_PI_2,
+            range_min: 0.05,
+            range_max: 50.0,
+            ranges,
+        }
+    }
+
+    #[test]
+    fn three_beams_right_ahead_left_in_both_encodings() {
+        let message = message(vec![1.0, 2.0, 3.0]);
+        let options = LidarOptions::default();
+        for encoding in [Encoding::Cdr, Encoding::Ros1] {
+            let bytes = ros::write_laser_scan(encoding, "laser", &message);
+            let scan = scan(encoding, &bytes, &options).unwrap();
+            assert_eq!(scan.stamp_ns, 77);
+            assert_eq!(scan.coverage_deg, 180.0);
+            let expected = [(0.0, -1.0), (2.0, 0.0), (0.0, 3.0)];
+            for ((x, y), (ex, ey)) in scan.x_m.iter().zip(&scan.y_m).zip(expected) {
+                assert!((x - ex).abs() < 1e-6 && (y - ey).abs() < 1e-6);
+            }
+        }
+        let upside_down = LidarOptions { upside_down: true, ..LidarOptions::default() };
+        let bytes = ros::write_laser_scan(Encoding::Cdr, "laser", &message);
+        let scan = scan(Encoding::Cdr, &bytes, &upside_down).unwrap();
+        assert!((scan.y_m[0] - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn no_returns_in_every_spelling_are_left_out() {
+        let ranges = vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, 51.0, 0.89, 0.9];
+        let bytes = ros::write_laser_scan(Encoding::Cdr, "laser", &message(ranges));
+        let scan = scan(Encoding::Cdr, &bytes, &LidarOptions::default()).unwrap();
+        assert_eq!(scan.len(), 1, "only 0.9 m is within both limits");
+        assert_eq!(scan.coverage_deg, 540.0, "swept, returned or not");
+    }
+}

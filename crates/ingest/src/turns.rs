@@ -1,0 +1,314 @@
+//! Firings -> turns, cut where the azimuth passes 0, across packets and messages -> scans.
+
+use std::f64::consts::TAU;
+
+use dataset::{Dropped, RangeLimits, Scan};
+use messages::hdl32e::{
+    AZIMUTH_COUNTS, BLOCK_PERIOD_NS, LASER_PERIOD_NS, METRES_PER_COUNT, PERIODS_PER_BLOCK,
+};
+
+use crate::LidarOptions;
+use crate::ring::{self, LASER, OtherSensor, RingPacket, device_gap_us};
+
+/// Azimuth is counted in 1/40 of 0.01 deg, in which the azimuth of every laser of a block is a
+/// whole number: laser `k` fires `k / 40` of a block period after the block's azimuth was read.
+const FINE_PER_COUNT: u32 = PERIODS_PER_BLOCK as u32;
+/// Fine counts in a turn.
+const FINE_TURN: u32 = AZIMUTH_COUNTS as u32 * FINE_PER_COUNT;
+/// Packets looked at to tell the sensor model.
+const PACKETS_TO_IDENTIFY: usize = 200;
+/// A step over more than this many ordinary ones means that packets are missing.
+const MAX_STEPS: f64 = 2.5;
+/// Device time between two packets beyond which the recording is taken to have been interrupted
+/// \[us\].
+const INTERRUPTED_US: u32 = 2_000_000;
+
+/// One firing of the laser.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Firing {
+    /// \[1/40 of 0.01 deg, clockwise\], below a full turn.
+    fine_azimuth: u32,
+    /// \[2 mm\], 0 for no return.
+    distance: u16,
+}
+
+/// The firings between two passes of azimuth 0.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Turn {
+    /// When the first firing of the laser happened \[ns\].
+    stamp_ns: i64,
+    firings: Vec<Firing>,
+    /// Sum of the steps from each firing to where the next is due \[0.01 deg\].
+    swept: u64,
+    /// The last of these steps.
+    last_step: u32,
+    /// Whether the turn's start was seen: the firing before it lies in another turn, or is due
+    /// before azimuth 0.
+    starts_at_cut: bool,
+}
+
+/// Cuts the packets of a log, given in order, into turns.
+#[derive(Debug)]
+pub(crate) struct TurnCutter {
+    max_hole: u64,
+    /// The packet whose last step the next packet will tell.
+    pending: Option<RingPacket>,
+    turn: Turn,
+    first_packets: Vec<RingPacket>,
+    other_sensor: Option<OtherSensor>,
+    ends: Ends,
+}
+
+/// What is left when a log ends.
+#[derive(Debug, Default)]
+pub(crate) struct Ends {
+    /// Turns that the log, or an interruption, starts or ends within.
+    pub(crate) n_partial: usize,
+    /// Turns with holes, and what else was lost.
+    pub(crate) dropped: Dropped,
+}
+
+/// How two successive packets lie to each other.
+enum Link {
+    /// The second follows the first; the step between them \[0.01 deg\].
+    Next(u32),
+    /// Packets are missing; the sensor turned on by so much meanwhile \[0.01 deg\].
+    Hole(u64),
+    /// The second belongs to another recording, or the clock jumped.
+    Interrupted,
+}
+
+impl TurnCutter {
+    pub(crate) fn new(max_hole_deg: f64) -> Self {
+        Self {
+            max_hole: (max_hole_deg * 100.0).max(0.0) as u64,
+            pending: None,
+            turn: Turn::default(),
+            first_packets: Vec::new(),
+            other_sensor: None,
+            ends: Ends::default(),
+        }
+    }
+
+    /// The sensor the packets are of, if it is no HDL-32E.
+    pub(crate) fn other_sensor(&mut self) -> Option<OtherSensor> {
+        if self.first_packets.len() < PACKETS_TO_IDENTIFY {
+            self.other_sensor = ring::other_sensor(&self.first_packets);
+        }
+        self.other_sensor.clone()
+    }
+
+    /// Adds the next packet; complete turns go to `turns`.
+    pub(crate) fn push(&mut self, packet: &RingPacket, turns: &mut Vec<Turn>) {
+        if self.first_packets.len() < PACKETS_TO_IDENTIFY {
+            self.first_packets.push(*packet);
+            if self.first_packets.len() == PACKETS_TO_IDENTIFY {
+                self.other_sensor = ring::other_sensor(&self.first_packets);
+            }
+        }
+        let Some(pending) = self.pending.replace(*packet) else { return };
+        match link(&pending, packet) {
+            Link::Next(step) => self.add(&pending, step, turns),
+            Link::Hole(turned) => {
+                let step = own_step(&pending);
+                self.add(&pending, step, turns);
+                self.skip(&pending, turned, turns);
+            }
+            Link::Interrupted => {
+                self.add(&pending, own_step(&pending), turns);
+                self.ends
+                    .dropped
+                    .add("interruptions of the packet stream (clock jump or pause)", 1);
+                self.interrupt(turns);
+            }
+        }
+    }
+
+    /// Adds the last packet and ends the last turn.
+    pub(crate) fn finish(mut self, turns: &mut Vec<Turn>) -> Ends {
+        if let Some(pending) = self.pending.take() {
+            self.add(&pending, own_step(&pending), turns);
+        }
+        self.interrupt(turns);
+        self.ends
+    }
+
+    /// Adds the firings of a packet whose last step is known.
+    fn add(&mut self, packet: &RingPacket, last_step: u32, turns: &mut Vec<Turn>) {
+        let n = usize::from(packet.n_firings);
+        let first_ns = packet.end_ns - packet.period_ns() + LASER as i64 * LASER_PERIOD_NS;
+        for k in 0..n {
+            let azimuth = packet.azimuth[k];
+            let step =
+                if k + 1 < n { step_within(azimuth, packet.azimuth[k + 1]) } else { last_step };
+            let fine = u32::from(azimuth) * FINE_PER_COUNT + LASER as u32 * step;
+            let fine_azimuth = if fine < FINE_TURN { fine } else { fine - FINE_TURN };
+            // Back by more than half a turn is on past 0; back by less is jitter.
+            let passed_zero = self
+                .turn
+                .firings
+                .last()
+                .is_some_and(|last| fine_azimuth + FINE_TURN / 2 < last.fine_azimuth);
+            if passed_zero {
+                self.cut(turns);
+            }
+            if self.turn.firings.is_empty() {
+                self.turn.stamp_ns = first_ns + k as i64 * BLOCK_PERIOD_NS;
+                // The firing before the first of a log is due one step before it.
+                self.turn.starts_at_cut |= fine_azimuth < step * FINE_PER_COUNT;
+            }
+            self.turn.firings.push(Firing { fine_azimuth, distance: packet.distance[k] });
+            self.turn.swept += u64::from(step);
+            self.turn.last_step = step;
+        }
+    }
+
+    /// Passes over missing packets: what they cover is missing in the turn, or in the turns.
+    fn skip(&mut self, before: &RingPacket, turned: u64, turns: &mut Vec<Turn>) {
+        let at = u64::from(before.azimuth[usize::from(before.n_firings) - 1]);
+        let turns_passed = (at + turned) / u64::from(AZIMUTH_COUNTS);
+        if turns_passed > 0 {
+            self.cut(turns);
+        }
+        if turns_passed > 1 {
+            self.ends.dropped.add("turns of which every packet is missing", turns_passed - 1);
+        }
+    }
+
+    /// Ends the turn at a cut that was seen.
+    fn cut(&mut self, turns: &mut Vec<Turn>) {
+        let turn = std::mem::take(&mut self.turn);
+        self.turn.firings.reserve(turn.firings.len() + 8);
+        self.turn.starts_at_cut = true;
+        if !turn.starts_at_cut {
+            self.ends.n_partial += 1;
+        } else {
+            self.keep(turn, turns);
+        }
+    }
+
+    /// Ends the turn where the stream of packets ends.
+    fn interrupt(&mut self, turns: &mut Vec<Turn>) {
+        let turn = std::mem::take(&mut self.turn);
+        let Some(last) = turn.firings.last() else { return };
+        let ends_at_cut = FINE_TURN <= last.fine_azimuth + turn.last_step * FINE_PER_COUNT;
+        if turn.starts_at_cut && ends_at_cut {
+            self.keep(turn, turns);
+        } else {
+            self.ends.n_partial += 1;
+        }
+    }
+
+    fn keep(&mut self, turn: Turn, turns: &mut Vec<Turn>) {
+        // The steps of a whole turn add up to one turn, give or take one step at the cut.
+        let due = u64::from(AZIMUTH_COUNTS) - u64::from(turn.last_step).min(1000);
+        if turn.swept + self.max_hole < due {
+            let reason = format!(
+                "turns with a hole of more than {} deg (packets missing)",
+                self.max_hole as f64 / 100.0
+            );
+            self.ends.dropped.add(reason, 1);
+        } else {
+            turns.push(turn);
+        }
+    }
+}
+
+/// Azimuth from one block to the next \[0.01 deg\], clockwise.
+fn step(from: u16, to: u16) -> u32 {
+    let (from, to) = (u32::from(from), u32::from(to));
+    if from <= to { to - from } else { to + u32::from(AZIMUTH_COUNTS) - from }
+}
+
+/// The step within a packet; a sensor turns one way, so that a step back is encoder jitter.
+fn step_within(from: u16, to: u16) -> u32 {
+    match step(from, to) {
+        back if u32::from(AZIMUTH_COUNTS) / 2 < back => 0,
+        ahead => ahead,
+    }
+}
+
+/// The last step of a packet as its step before tells it.
+fn own_step(packet: &RingPacket) -> u32 {
+    let n = usize::from(packet.n_firings);
+    step_within(packet.azimuth[n - 2], packet.azimuth[n - 1])
+}
+
+fn link(earlier: &RingPacket, later: &RingPacket) -> Link {
+    let n = usize::from(earlier.n_firings);
+    let between = step(earlier.azimuth[n - 1], later.azimuth[0]);
+    let mean_step = f64::from(step(earlier.azimuth[0], earlier.azimuth[n - 1])) / (n - 1) as f64;
+    let gap_us = device_gap_us(earlier, later);
+    let period_us = earlier.period_ns() as f64 / 1000.0;
+    if INTERRUPTED_US < gap_us {
+        return Link::Interrupted;
+    }
+    // A device clock that stands still leaves the azimuths alone to tell.
+    let on_time = gap_us == 0 || f64::from(gap_us) < 1.5 * period_us;
+    if on_time && f64::from(between) <= MAX_STEPS * mean_step.max(1.0) {
+        return Link::Next(between);
+    }
+    // The time that passed tells how many whole turns the azimuths hide.
+    let block_us = BLOCK_PERIOD_NS as f64 / 1000.0;
+    let steps = (f64::from(gap_us) - period_us) / block_us + 1.0;
+    let expected = steps.max(0.0) * mean_step;
+    let hidden_turns =
+        ((expected - f64::from(between)) / f64::from(AZIMUTH_COUNTS)).round().max(0.0) as u64;
+    Link::Hole(u64::from(between) + hidden_turns * u64::from(AZIMUTH_COUNTS))
+}
+
+/// Turns -> scans.
+pub(crate) struct ScanMaker {
+    limits: RangeLimits,
+    /// Sign of y for an azimuth that is clockwise from above.
+    side: f64,
+    /// Cosine and sine of each whole count of azimuth.
+    directions: Vec<[f64; 2]>,
+}
+
+impl ScanMaker {
+    pub(crate) fn new(options: &LidarOptions) -> Self {
+        let directions = (0..AZIMUTH_COUNTS)
+            .map(|count| {
+                let (sin, cos) = (f64::from(count) * TAU / f64::from(AZIMUTH_COUNTS)).sin_cos();
+                [cos, sin]
+            })
+            .collect();
+        Self {
+            limits: RangeLimits { min_m: options.range_min_m, max_m: options.range_max_m },
+            side: if options.upside_down { 1.0 } else { -1.0 },
+            directions,
+        }
+    }
+
+    /// x forward, y left (REP 103); azimuth 0 is forward and azimuth grows clockwise:
+    /// x = r cos a, y = -r sin a. Upside down, rolled about x, azimuth grows counter-clockwise.
+    pub(crate) fn scan(&self, turn: &Turn) -> Scan {
+        let n_returns = turn.firings.iter().filter(|firing| firing.distance != 0).count();
+        let mut scan = Scan {
+            stamp_ns: turn.stamp_ns,
+            x_m: Vec::with_capacity(n_returns),
+            y_m: Vec::with_capacity(n_returns),
+            coverage_deg: (turn.swept - u64::from(turn.last_step)) as f32 / 100.0,
+        };
+        for firing in &turn.firings {
+            let range_m = f64::from(firing.distance) * METRES_PER_COUNT;
+            if firing.distance != 0 && self.limits.contains(range_m) {
+                let [cos, sin] = self.direction(firing.fine_azimuth);
+                scan.x_m.push((range_m * cos) as f32);
+                scan.y_m.push((self.side * range_m * sin) as f32);
+            }
+        }
+        scan
+    }
+
+    /// Cosine and sine of an azimuth: those of the whole count, turned on by the rest d, which is
+    /// less than 1.8e-4 rad, so that cos d = 1 - d^2/2 and sin d = d - d^3/6 are exact in f64.
+    #[inline]
+    fn direction(&self, fine_azimuth: u32) -> [f64; 2] {
+        let [cos, sin] = self.directions[(fine_azimuth / FINE_PER_COUNT) as usize];
+        let d = f64::from(fine_azimuth % FINE_PER_COUNT) * (TAU / f64::from(FINE_TURN));
+        let (cos_d, sin_d) = (1.0 - 0.5 * d * d, d - d * d * d / 6.0);
+        [cos * cos_d - sin * sin_d, sin * cos_d + cos * sin_d]
+    }
+}

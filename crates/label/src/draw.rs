@@ -1,0 +1,62 @@
+//! A uniform sample without replacement, as a bottom-k sketch.
+
+use std::collections::BinaryHeap;
+
+use dataset::Keyframe;
+
+/// A pseudo-random key and the pair it stands for; ties in the key are ordered by the pair.
+type Keyed = (u64, usize, usize);
+
+/// The `k` smallest keys offered so far. Which these are does not depend on the order of offers.
+pub(crate) struct Draw {
+    k: usize,
+    smallest: BinaryHeap<Keyed>,
+}
+
+impl Draw {
+    pub(crate) fn new(k: usize) -> Self {
+        Self { k, smallest: BinaryHeap::new() }
+    }
+
+    #[inline]
+    pub(crate) fn offer(&mut self, keyed: Keyed) {
+        if self.smallest.len() < self.k {
+            self.smallest.push(keyed);
+        } else if let Some(mut largest) = self.smallest.peek_mut()
+            && keyed < *largest
+        {
+            *largest = keyed;
+        }
+    }
+
+    pub(crate) fn union(mut self, other: Self) -> Self {
+        for keyed in other.smallest {
+            self.offer(keyed);
+        }
+        self
+    }
+
+    pub(crate) fn into_pairs(self) -> impl Iterator<Item = (usize, usize)> {
+        self.smallest.into_iter().map(|(_, query, reference)| (query, reference))
+    }
+}
+
+/// A keyframe's share of the keys of its pairs: from the seed and the scan's name alone.
+pub(crate) fn keyframe_hash(seed: u64, keyframe: &Keyframe) -> u64 {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&seed.to_le_bytes());
+    hasher.update(&keyframe.id.scan.to_le_bytes());
+    hasher.update(keyframe.id.log.as_bytes());
+    let [a, b, c, d, e, f, g, h, ..] = *hasher.finalize().as_bytes();
+    u64::from_le_bytes([a, b, c, d, e, f, g, h])
+}
+
+/// The key of a pair, the same in both orders: the finaliser of SplitMix64 (Steele, Lea and
+/// Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014) over both hashes.
+#[inline]
+pub(crate) fn pair_key(a: u64, b: u64) -> u64 {
+    let mut z = a.wrapping_add(b).wrapping_add(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}

@@ -1,0 +1,349 @@
+//! The pipeline file: every parameter of a run, its defaults, and what is wrong with it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow};
+use ingest::{LidarOptions, PoseOptions};
+use label::Grouping;
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+/// The command line or the pipeline file is not understood; exit code 2.
+#[derive(Debug)]
+pub(crate) struct UsageError(String);
+
+impl std::fmt::Display for UsageError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for UsageError {}
+
+fn usage(message: impl std::fmt::Display) -> anyhow::Error {
+    UsageError(message.to_string()).into()
+}
+
+/// A pipeline file, all defaults resolved.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Config {
+    /// Names the run and its models; the file's stem unless given.
+    #[serde(default)]
+    pub(crate) name: String,
+    /// Every random draw comes from it.
+    #[serde(default = "default_seed")]
+    pub(crate) seed: u64,
+    /// Makes the logs first; without it logs come from `ingest.logs` alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) simulate: Option<simulate::Options>,
+    #[serde(default)]
+    pub(crate) ingest: IngestSection,
+    #[serde(default)]
+    pub(crate) subsample: subsample::Options,
+    #[serde(default)]
+    pub(crate) label: label::Options,
+    #[serde(default)]
+    pub(crate) featurize: featurize::Options,
+    #[serde(default)]
+    pub(crate) train: train::Options,
+    #[serde(default)]
+    pub(crate) evaluate: EvaluateSection,
+    /// Folder of the pipeline file; `ingest.logs` is relative to it.
+    #[serde(skip)]
+    folder: PathBuf,
+}
+
+/// The paper's pair count as a seed, as good as any.
+fn default_seed() -> u64 {
+    2436
+}
+
+/// `[ingest]`
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct IngestSection {
+    /// Files, folders (their `*.mcap`) or globs, relative to the pipeline file.
+    pub(crate) logs: Vec<String>,
+    /// The map frame of all logs; without it each log has its own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) site: Option<String>,
+    pub(crate) lidar: LidarOptions,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) pose: Option<PoseOptions>,
+    /// Per log, by file stem: any of `site`, `lidar` and `pose`, or of their keys.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub(crate) log: BTreeMap<String, Table>,
+}
+
+/// `[evaluate]`
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct EvaluateSection {
+    /// Folds of the cross-validation.
+    pub(crate) folds: u32,
+    /// What may not stand on both sides of a fold; each is evaluated.
+    pub(crate) groupings: Vec<Grouping>,
+}
+
+impl Default for EvaluateSection {
+    fn default() -> Self {
+        Self { folds: 10, groupings: vec![Grouping::Pair] }
+    }
+}
+
+/// What holds for one log, its overrides applied.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct LogOptions {
+    /// The map frame; the log's own name unless given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) site: Option<String>,
+    pub(crate) lidar: LidarOptions,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) pose: Option<PoseOptions>,
+}
+
+impl Config {
+    /// Reads a pipeline file and applies `KEY=VALUE` overrides.
+    pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|e| usage(format!("cannot read the pipeline file {}: {e}", path.display())))?;
+        // Once as it stands, so that an error shows its line ...
+        toml::from_str::<Self>(&text).map_err(|e| explain(path, &e))?;
+        // ... and once with the overrides.
+        let mut table: Table = toml::from_str(&text).map_err(|e| explain(path, &e))?;
+        for text in overrides {
+            apply_override(&mut table, text)?;
+        }
+        let mut config: Self = Value::Table(table)
+            .try_into()
+            .map_err(|e| explain(Path::new(&format!("--set {}", overrides.join(" --set "))), &e))?;
+        config.folder = path.parent().map(Path::to_owned).unwrap_or_default();
+        if config.name.is_empty() {
+            config.name = stem(path);
+        }
+        config.check().map_err(|e| usage(format!("{}: {e:#}", path.display())))?;
+        Ok(config)
+    }
+
+    /// The pipeline with every default written out.
+    pub(crate) fn to_toml(&self) -> Result<String> {
+        toml::to_string(self).context("cannot write the options as TOML")
+    }
+
+    /// The logs that `ingest.logs` names, in its order, those of a folder or glob by name.
+    pub(crate) fn log_files(&self) -> Result<Vec<PathBuf>> {
+        let mut files = Vec::new();
+        for entry in &self.ingest.logs {
+            let path = self.folder.join(entry);
+            let pattern = if path.is_dir() { path.join("*.mcap") } else { path };
+            let pattern = pattern.to_string_lossy();
+            let found: Vec<PathBuf> = glob::glob(&pattern)
+                .with_context(|| format!("`ingest.logs`: `{entry}` is no path or glob"))?
+                .collect::<Result<_, _>>()
+                .with_context(|| format!("`ingest.logs`: cannot look for `{entry}`"))?;
+            if found.is_empty() {
+                return Err(anyhow!(
+                    "`ingest.logs`: nothing matches `{entry}` (looked for {pattern}; paths are relative to the pipeline file)"
+                ));
+            }
+            files.extend(found);
+        }
+        Ok(files)
+    }
+
+    /// The options of one log.
+    pub(crate) fn for_log(&self, log: &str) -> Result<LogOptions> {
+        let IngestSection { site, lidar, pose, .. } = self.ingest.clone();
+        let common = LogOptions { site, lidar, pose };
+        let Some(own) = self.ingest.log.get(log) else { return Ok(common) };
+        let mut merged = Table::try_from(&common).context("options are TOML")?;
+        merge(&mut merged, own);
+        let section = format!("[ingest.log.{log}]");
+        let options: LogOptions =
+            Value::Table(merged).try_into().map_err(|e| explain(Path::new(&section), &e))?;
+        options.lidar.check().map_err(|e| usage(format!("{section}: {e}")))?;
+        Ok(options)
+    }
+
+    fn check(&self) -> Result<()> {
+        let legal = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+        if !self.name.chars().all(legal) || self.name.starts_with('.') {
+            return Err(anyhow!(
+                "`name` is `{}`, expected letters, digits, `-`, `_` and `.`: it names folders",
+                self.name
+            ));
+        }
+        self.ingest.lidar.check()?;
+        self.subsample.check()?;
+        self.label.check()?;
+        self.featurize.check()?;
+        if self.train.rounds == 0 {
+            return Err(anyhow!("`train.rounds` is 0, expected 1 or more"));
+        }
+        if self.train.learners.is_empty() {
+            return Err(anyhow!("`train.learners` is empty, expected at least one learner"));
+        }
+        if self.train.learners.iter().collect::<BTreeSet<_>>().len() < self.train.learners.len() {
+            return Err(anyhow!("`train.learners` names a learner twice"));
+        }
+        if self.evaluate.folds < 2 {
+            return Err(anyhow!("`evaluate.folds` is {}, expected 2 or more", self.evaluate.folds));
+        }
+        if self.evaluate.groupings.is_empty() {
+            return Err(anyhow!("`evaluate.groupings` is empty, expected at least `pair`"));
+        }
+        for log in self.ingest.log.keys() {
+            self.for_log(log)?;
+        }
+        Ok(())
+    }
+}
+
+/// A file's name without its last extension.
+pub(crate) fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Sets `a.b.c=value` in a table; the value is TOML, or else a string.
+fn apply_override(table: &mut Table, text: &str) -> Result<()> {
+    let (key, value) = text.split_once('=').ok_or_else(|| {
+        usage(format!("--set {text}: expected KEY=VALUE, such as label.positive_radius_m=2"))
+    })?;
+    let value = toml::from_str::<Table>(&format!("value = {value}"))
+        .ok()
+        .and_then(|mut parsed| parsed.remove("value"))
+        .unwrap_or_else(|| Value::String(value.to_owned()));
+    let mut keys: Vec<&str> = key.trim().split('.').collect();
+    let last = keys.pop().unwrap_or_default();
+    let mut inner = table;
+    for key in keys {
+        let entry = inner.entry(key).or_insert_with(|| Value::Table(Table::new()));
+        inner = entry
+            .as_table_mut()
+            .ok_or_else(|| usage(format!("--set {text}: `{key}` is a value, not a section")))?;
+    }
+    inner.insert(last.to_owned(), value);
+    Ok(())
+}
+
+/// Lays one table over another, section by section.
+fn merge(base: &mut Table, over: &Table) {
+    for (key, value) in over {
+        match (base.get_mut(key), value) {
+            (Some(Value::Table(base)), Value::Table(over)) => merge(base, over),
+            _ => {
+                base.insert(key.clone(), value.clone());
+            }
+        }
+    }
+}
+
+/// A TOML error with its place and, for an unknown key or name, the nearest known one.
+fn explain(place: &Path, error: &toml::de::Error) -> anyhow::Error {
+    let mut text = format!("{}: {}", place.display(), error.to_string().trim_end());
+    let message = error.message();
+    if let Some(known) =
+        message.split("expected one of ").nth(1).or(message.split("expected ").nth(1))
+        && message.starts_with("unknown ")
+    {
+        let unknown = message.split('`').nth(1).unwrap_or_default();
+        let nearest = known.split('`').skip(1).step_by(2).max_by(|a, b| {
+            strsim::jaro_winkler(unknown, a).total_cmp(&strsim::jaro_winkler(unknown, b))
+        });
+        if let Some(nearest) = nearest {
+            text.push_str(&format!("\nhint: did you mean `{nearest}`?"));
+        }
+    }
+    usage(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn load(text: &str, overrides: &[&str]) -> Result<Config> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("drive.toml");
+        std::fs::write(&path, text).unwrap();
+        Config::load(&path, &overrides.iter().map(|&s| s.to_owned()).collect::<Vec<_>>())
+    }
+
+    fn error(text: &str, overrides: &[&str]) -> String {
+        let error = load(text, overrides).unwrap_err();
+        assert!(error.is::<UsageError>());
+        format!("{error:#}")
+    }
+
+    #[test]
+    fn an_empty_file_has_all_defaults_and_they_can_be_read_again() {
+        let config = load("", &[]).unwrap();
+        assert_eq!((config.name.as_str(), config.seed), ("drive", 2436));
+        assert_eq!(config.label.pairs_per_class, 1218);
+        let printed = config.to_toml().unwrap();
+        assert!(printed.contains("spacing_m = 0.5"), "{printed}");
+        assert_eq!(load(&printed, &[]).unwrap().to_toml().unwrap(), printed);
+    }
+
+    #[test]
+    fn overrides_beat_the_file() {
+        let file = "[label]\npositive_radius_m = 1.0\n";
+        let config = load(
+            file,
+            &["label.positive_radius_m=2", "name=other", "train.learners=[\"discrete\"]"],
+        )
+        .unwrap();
+        assert!((config.label.positive_radius_m - 2.0).abs() < 1e-12);
+        assert_eq!(config.name, "other");
+        assert_eq!(config.train.learners, [model::Learner::Discrete]);
+    }
+
+    #[test]
+    fn an_unknown_key_fails_and_names_the_nearest() {
+        let message = error("[subsample]\nspacing = 0.5\n", &[]);
+        assert!(message.contains("spacing = 0.5"), "shows the line: {message}");
+        assert!(message.contains("did you mean `spacing_m`?"), "{message}");
+        assert!(error("sed = 3\n", &[]).contains("did you mean `seed`?"));
+        assert!(
+            error("", &["label.positive_radius=2"]).contains("did you mean `positive_radius_m`?")
+        );
+        assert!(
+            error("[train]\nlearners = [\"gentle\"]\n", &[])
+                .contains("did you mean `gentle_line`?")
+        );
+        let message = error("[ingest.log.a.lidar]\nrange_max = 9.0\n", &[]);
+        assert!(message.contains("did you mean `range_max_m`?"), "{message}");
+    }
+
+    #[test]
+    fn values_out_of_range_are_named() {
+        assert!(
+            error("[label]\nnegative_min_m = 1.0\n", &[]).contains("`label.negative_min_m` is 1")
+        );
+        assert!(error("[evaluate]\nfolds = 1\n", &[]).contains("`evaluate.folds` is 1"));
+        assert!(
+            error("", &["ingest.lidar.range_max_m=0.5"])
+                .contains("`ingest.lidar.range_max_m` is 0.5")
+        );
+        assert!(error("name = \"a/b\"\n", &[]).contains("`name` is `a/b`"));
+        assert!(error("", &["seed"]).contains("expected KEY=VALUE"));
+    }
+
+    #[test]
+    fn a_log_can_have_options_of_its_own() {
+        let config = load(
+            "[ingest]\nsite = \"mit\"\n[ingest.pose]\ntopic = \"/pose\"\n[ingest.log.b]\nsite = \"aces\"\nlidar.range_max_m = 30.0\n",
+            &[],
+        )
+        .unwrap();
+        let (a, b) = (config.for_log("a").unwrap(), config.for_log("b").unwrap());
+        assert_eq!((a.site.as_deref(), b.site.as_deref()), (Some("mit"), Some("aces")));
+        assert!(
+            (b.lidar.range_max_m - 30.0).abs() < 1e-12
+                && (a.lidar.range_max_m - 70.0).abs() < 1e-12
+        );
+        assert_eq!(b.pose.unwrap().topic, "/pose");
+    }
+}

@@ -1,0 +1,168 @@
+use serde::{Deserialize, Serialize};
+
+/// The learners.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Learner {
+    /// Discrete AdaBoost over decision stumps (the paper's Algorithm 1).
+    Discrete,
+    /// Gentle AdaBoost over weighted least-squares lines (Algorithm 2 by the paper's words).
+    GentleLine,
+    /// Gentle AdaBoost over regression stumps (Friedman, Hastie and Tibshirani 2000).
+    GentleStump,
+}
+
+impl Learner {
+    /// The name in options, tables and files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Discrete => "discrete",
+            Self::GentleLine => "gentle_line",
+            Self::GentleStump => "gentle_stump",
+        }
+    }
+
+    /// The learner of a name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        [Self::Discrete, Self::GentleLine, Self::GentleStump]
+            .into_iter()
+            .find(|learner| learner.name() == name)
+    }
+}
+
+/// One round of boosting: a function of one feature, added to the confidence.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum WeakLearner {
+    /// `alpha` where p F < p theta, else `-alpha`.
+    Vote {
+        /// Index of the feature.
+        feature: usize,
+        /// theta
+        threshold: f64,
+        /// p, +1.0 or -1.0.
+        polarity: f64,
+        /// Weight of the vote, ln(1 / beta).
+        alpha: f64,
+    },
+    /// `slope` F + `intercept`.
+    Line {
+        /// Index of the feature.
+        feature: usize,
+        /// Per unit of the feature.
+        slope: f64,
+        /// At F = 0.
+        intercept: f64,
+    },
+    /// `below` where F < theta, else `above`.
+    Step {
+        /// Index of the feature.
+        feature: usize,
+        /// theta
+        threshold: f64,
+        /// Weighted mean of the labels below the threshold.
+        below: f64,
+        /// Weighted mean of the labels at or above the threshold.
+        above: f64,
+    },
+}
+
+impl WeakLearner {
+    /// Index of the feature it looks at.
+    pub fn feature(&self) -> usize {
+        match *self {
+            Self::Vote { feature, .. }
+            | Self::Line { feature, .. }
+            | Self::Step { feature, .. } => feature,
+        }
+    }
+
+    /// The threshold on the feature, for those that have one.
+    pub fn threshold(&self) -> Option<f64> {
+        match *self {
+            Self::Vote { threshold, .. } | Self::Step { threshold, .. } => Some(threshold),
+            Self::Line { .. } => None,
+        }
+    }
+
+    /// What it adds to the confidence of a pair whose feature differences are `difference`.
+    #[inline]
+    pub fn value(&self, difference: &[f64]) -> f64 {
+        self.value_of_feature(difference[self.feature()])
+    }
+
+    /// What it adds for a value of its feature.
+    #[inline]
+    pub fn value_of_feature(&self, f: f64) -> f64 {
+        match *self {
+            Self::Vote { threshold, polarity, alpha, .. } => {
+                if polarity * f < polarity * threshold { alpha } else { -alpha }
+            }
+            Self::Line { slope, intercept, .. } => slope * f + intercept,
+            Self::Step { threshold, below, above, .. } => {
+                if f < threshold {
+                    below
+                } else {
+                    above
+                }
+            }
+        }
+    }
+}
+
+/// A sum of weak learners.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Classifier {
+    /// What fitted it.
+    pub learner: Learner,
+    /// One weak learner a round, `(n_rounds,)`.
+    pub rounds: Vec<WeakLearner>,
+}
+
+impl Classifier {
+    /// Confidence that a pair shows one place, from its feature differences `|f_a - f_b|`,
+    /// `(n_features,)`. The pair is called positive where this is not less than the threshold, 0
+    /// unless chosen otherwise.
+    pub fn confidence(&self, difference: &[f64]) -> f64 {
+        self.rounds.iter().map(|weak| weak.value(difference)).sum()
+    }
+
+    /// The confidence after each round, `(n_rounds,)`.
+    pub fn staged_confidences(&self, difference: &[f64]) -> impl Iterator<Item = f64> {
+        self.rounds.iter().scan(0.0, |sum, weak| {
+            *sum += weak.value(difference);
+            Some(*sum)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn votes_lines_and_steps_add_up() {
+        let classifier = Classifier {
+            learner: Learner::Discrete,
+            rounds: vec![
+                WeakLearner::Vote { feature: 1, threshold: 2.0, polarity: 1.0, alpha: 0.5 },
+                WeakLearner::Vote { feature: 0, threshold: 1.0, polarity: -1.0, alpha: 0.25 },
+                WeakLearner::Line { feature: 0, slope: -2.0, intercept: 1.0 },
+                WeakLearner::Step { feature: 1, threshold: 2.0, below: 0.75, above: -0.125 },
+            ],
+        };
+        // Feature 0 is 3 (beyond 1: the second votes +), feature 1 is 1 (below 2).
+        assert_eq!(classifier.confidence(&[3.0, 1.0]), 0.5 + 0.25 - 5.0 + 0.75);
+        let staged: Vec<f64> = classifier.staged_confidences(&[3.0, 1.0]).collect();
+        assert_eq!(staged, [0.5, 0.75, -4.25, -3.5]);
+        // At its threshold a vote is -, whatever its polarity; a step is above.
+        assert_eq!(classifier.confidence(&[1.0, 2.0]), -0.5 - 0.25 - 1.0 - 0.125);
+    }
+
+    #[test]
+    fn names_round_trip() {
+        for learner in [Learner::Discrete, Learner::GentleLine, Learner::GentleStump] {
+            assert_eq!(Learner::from_name(learner.name()), Some(learner));
+        }
+        assert_eq!(Learner::from_name("adaboost"), None);
+    }
+}

@@ -1,0 +1,246 @@
+//! `subsample`: scans and poses -> keyframes.
+//!
+//! A keyframe is a scan whose straight-line distance from the last one kept reaches
+//! `spacing_m`. Path length would count the jitter of a robot that stands still.
+
+use std::sync::Arc;
+
+use dataset::{Dropped, Keyframe, ScanId, Trajectory};
+use serde::{Deserialize, Serialize};
+
+/// The section `[subsample]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Options {
+    /// Straight-line distance from one keyframe to the next \[m\].
+    pub spacing_m: f64,
+    /// A scan whose pose would be interpolated between two poses farther apart in time than this
+    /// is dropped and counted \[s\]. A scan at the very stamp of a pose needs no second one.
+    pub max_pose_gap_secs: f64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { spacing_m: 0.5, max_pose_gap_secs: 2.0 }
+    }
+}
+
+impl Options {
+    /// Refuses values out of range.
+    pub fn check(&self) -> Result<(), SubsampleError> {
+        let (spacing, gap) = (self.spacing_m, self.max_pose_gap_secs);
+        check_option("spacing_m", spacing, 0.0 < spacing, "more than 0")?;
+        check_option("max_pose_gap_secs", gap, 0.0 <= gap, "0 or more")
+    }
+}
+
+/// What a keyframe can be made of: a scan without its points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// Number of the scan in its log.
+    pub scan: u32,
+    /// When the scan's first beam fired \[ns since the epoch\].
+    pub stamp_ns: i64,
+    /// Angle swept by the scan \[deg\].
+    pub coverage_deg: f32,
+    /// Whether features can be computed from it.
+    pub usable: bool,
+}
+
+/// Why a log gives no keyframes.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub enum SubsampleError {
+    /// There is not one pose.
+    #[error("log `{log}` has no poses: set `ingest.pose.topic` to its pose topic")]
+    NoPoses {
+        /// The log.
+        log: Arc<str>,
+    },
+    /// Scans and poses do not meet.
+    #[error(
+        "log `{log}`: none of its {n_scans} scans could be kept ({dropped}); are the stamps of lidar and poses of one clock?"
+    )]
+    NoKeyframes {
+        /// The log.
+        log: Arc<str>,
+        /// Scans in the log.
+        n_scans: usize,
+        /// Reasons and counts.
+        dropped: Dropped,
+    },
+    /// An option out of range.
+    #[error("`subsample.{key}` is {found}, expected {expected}")]
+    Option {
+        /// The option.
+        key: &'static str,
+        /// Its value.
+        found: f64,
+        /// What it must be.
+        expected: &'static str,
+    },
+}
+
+/// Keeps a scan every `spacing_m` along one log.
+///
+/// Scans are taken in order of their stamps: logs exist in which stamps step back. Scans without
+/// a pose are dropped; so are scans that no feature can be computed from, where they would have
+/// become keyframes, and the next scan takes their place.
+pub fn subsample(
+    options: &Options,
+    log: &Arc<str>,
+    site: &Arc<str>,
+    candidates: &[Candidate],
+    trajectory: &Trajectory,
+) -> Result<(Vec<Keyframe>, Dropped), SubsampleError> {
+    options.check()?;
+    if trajectory.poses().is_empty() {
+        return Err(SubsampleError::NoPoses { log: log.clone() });
+    }
+    let max_gap_ns = (options.max_pose_gap_secs * 1e9) as i64;
+
+    let mut in_time: Vec<&Candidate> = candidates.iter().collect();
+    in_time.sort_by_key(|candidate| (candidate.stamp_ns, candidate.scan));
+    let mut keyframes: Vec<Keyframe> = Vec::new();
+    let mut dropped = Dropped::default();
+    for candidate in in_time {
+        let pose = match trajectory.pose_at(candidate.stamp_ns, max_gap_ns) {
+            Ok(pose) => pose,
+            Err(why) => {
+                dropped.add(format!("scans {why}"), 1);
+                continue;
+            }
+        };
+        let travelled_m = match keyframes.last() {
+            None => 0.0,
+            Some(last) => {
+                let moved_m = last.pose.distance_m(&pose);
+                if moved_m < options.spacing_m {
+                    continue;
+                }
+                last.travel_m + moved_m
+            }
+        };
+        if !candidate.usable {
+            dropped.add("scans with fewer than 3 returns or all on one line", 1);
+            continue;
+        }
+        keyframes.push(Keyframe {
+            id: ScanId { log: log.clone(), scan: candidate.scan },
+            site: site.clone(),
+            stamp_ns: candidate.stamp_ns,
+            pose,
+            travel_m: travelled_m,
+            coverage_deg: candidate.coverage_deg,
+        });
+    }
+    if keyframes.is_empty() {
+        let n_scans = candidates.len();
+        return Err(SubsampleError::NoKeyframes { log: log.clone(), n_scans, dropped });
+    }
+    Ok((keyframes, dropped))
+}
+
+fn check_option(
+    key: &'static str,
+    found: f64,
+    good: bool,
+    expected: &'static str,
+) -> Result<(), SubsampleError> {
+    if good && found.is_finite() {
+        Ok(())
+    } else {
+        Err(SubsampleError::Option { key, found, expected })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dataset::{Pose2, StampedPose};
+
+    /// A robot that is at `x_m[k]` at second `k`, and a scan every half second.
+    fn check(x_m: &[f64], unusable: &[u32], expected: &[(u32, f64)]) -> Dropped {
+        let poses = x_m.iter().zip(0..).map(|(&x_m, k)| StampedPose {
+            stamp_ns: k * 1_000_000_000,
+            pose: Pose2 { x_m, ..Pose2::default() },
+        });
+        let (trajectory, _) = Trajectory::new(poses.collect());
+        let candidates: Vec<_> = (0..2 * x_m.len() as u32 - 1)
+            .map(|scan| Candidate {
+                scan,
+                stamp_ns: i64::from(scan) * 500_000_000,
+                coverage_deg: 359.8,
+                usable: !unusable.contains(&scan),
+            })
+            .collect();
+        let (keyframes, dropped) = subsample(
+            &Options::default(),
+            &"drive".into(),
+            &"site".into(),
+            &candidates,
+            &trajectory,
+        )
+        .unwrap();
+        let found: Vec<_> = keyframes.iter().map(|k| (k.id.scan, k.travel_m)).collect();
+        assert_eq!(found, expected);
+        dropped
+    }
+
+    #[test]
+    fn a_scan_each_half_metre() {
+        // 0.25 m from one scan to the next: every second scan.
+        check(&[0.0, 0.5, 1.0, 1.5], &[], &[(0, 0.0), (2, 0.5), (4, 1.0), (6, 1.5)]);
+        // 0.375 m: 0.75 m is reached first.
+        check(&[0.0, 0.75, 1.5], &[], &[(0, 0.0), (2, 0.75), (4, 1.5)]);
+    }
+
+    #[test]
+    fn jitter_at_standstill_keeps_one_scan() {
+        check(&[0.0, 0.2, 0.0, 0.2, 0.0, 0.2, 0.0], &[], &[(0, 0.0)]);
+    }
+
+    #[test]
+    fn the_next_scan_takes_the_place_of_an_unusable_one() {
+        let dropped = check(&[0.0, 0.5, 1.0, 1.5], &[0, 4], &[(1, 0.0), (3, 0.5), (5, 1.0)]);
+        assert_eq!(dropped.to_string(), "2 scans with fewer than 3 returns or all on one line");
+    }
+
+    #[test]
+    fn scans_without_a_pose_are_counted_by_reason() {
+        let pose = |s: i64| StampedPose { stamp_ns: s * 1_000_000_000, pose: Pose2::default() };
+        let (trajectory, _) = Trajectory::new(vec![pose(10), pose(11), pose(20)]);
+        let candidate = |scan: u32, s: i64| Candidate {
+            scan,
+            stamp_ns: s * 1_000_000_000,
+            coverage_deg: 180.0,
+            usable: true,
+        };
+        let run = |stamps: &[i64]| {
+            let candidates: Vec<_> =
+                stamps.iter().zip(0..).map(|(&s, k)| candidate(k, s)).collect();
+            subsample(&Options::default(), &"a".into(), &"a".into(), &candidates, &trajectory)
+        };
+        let (keyframes, dropped) = run(&[9, 10, 15, 16, 20, 21]).unwrap();
+        assert_eq!(keyframes.len(), 1);
+        assert_eq!(
+            dropped.to_string(),
+            "1 scans after the last pose, 1 scans before the first pose, 2 scans in a gap between poses"
+        );
+        assert!(matches!(run(&[1, 2]), Err(SubsampleError::NoKeyframes { n_scans: 2, .. })));
+        // Stamps that step back are taken in order of time.
+        let (keyframes, _) = run(&[11, 10]).unwrap();
+        assert_eq!(keyframes[0].id.scan, 1);
+    }
+
+    #[test]
+    fn options_out_of_range_are_named() {
+        let options = Options { spacing_m: 0.0, ..Options::default() };
+        let error =
+            subsample(&options, &"a".into(), &"a".into(), &[], &Trajectory::default()).unwrap_err();
+        assert_eq!(error.to_string(), "`subsample.spacing_m` is 0, expected more than 0");
+        let error =
+            subsample(&Options::default(), &"a".into(), &"a".into(), &[], &Trajectory::default())
+                .unwrap_err();
+        assert!(matches!(error, SubsampleError::NoPoses { .. }));
+    }
+}

@@ -1,0 +1,73 @@
+//! Gentle AdaBoost: the paper's Algorithm 2 (Friedman, Hastie and Tibshirani 2000, "Additive
+//! logistic regression: a statistical view of boosting", Algorithm 4).
+//!
+//! ```text
+//! w_i = 1 / N
+//! for t = 1..T:
+//!     f_t = weighted least-squares fit of y to one feature, the feature with the least residual
+//!     w_i *= exp(-y_i f_t(x_i));  w_i /= sum of w
+//! confidence(x) = sum of f_t(x)
+//! ```
+
+use model::WeakLearner;
+use rayon::prelude::*;
+
+use crate::matrix::Matrix;
+use crate::{Round, TIE};
+
+/// A least-squares fit of the labels to one feature.
+pub(crate) trait WeakFit {
+    /// Fits `y` to `column` under weights that sum to 1; `rows` are in ascending order of the
+    /// column. Returns the weak learner and how much it explains: the weighted sum of squares of
+    /// `y` about 0 that it takes away.
+    fn fit(feature: usize, column: &[f64], rows: &[u32], y: &[f64], weights: &[f64]) -> Fit;
+}
+
+#[derive(Clone, Copy)]
+pub(crate) struct Fit {
+    pub(crate) weak: WeakLearner,
+    pub(crate) explained: f64,
+}
+
+pub(crate) fn fit<W: WeakFit>(n_rounds: u32, data: &Matrix) -> Vec<Round> {
+    let sorted = data.sorted_rows();
+    let is_constant = |rows: &Vec<u32>, column: &[f64]| match (rows.first(), rows.last()) {
+        (Some(&a), Some(&b)) => column[a as usize].total_cmp(&column[b as usize]).is_eq(),
+        _ => true,
+    };
+    if sorted.iter().zip(data.columns()).all(|(rows, column)| is_constant(rows, column)) {
+        return Vec::new();
+    }
+    let y: Vec<f64> = data.labels().iter().map(|label| label.target()).collect();
+    // Weights from margins: w_i is exp(-y_i F(x_i)) up to a factor, taken against the least
+    // margin, so that no exponential overflows however far off a line may lie.
+    let mut margins = vec![0.0; y.len()];
+    let mut weights = vec![0.0; y.len()];
+    let mut rounds = Vec::with_capacity(n_rounds as usize);
+    for _ in 0..n_rounds {
+        let least = margins.iter().copied().fold(f64::INFINITY, f64::min);
+        for (w, margin) in weights.iter_mut().zip(&margins) {
+            *w = (least - margin).exp();
+        }
+        let sum: f64 = weights.iter().sum();
+        weights.iter_mut().for_each(|w| *w /= sum);
+        let fits: Vec<Fit> = sorted
+            .par_iter()
+            .enumerate()
+            .map(|(feature, rows)| W::fit(feature, data.column(feature), rows, &y, &weights))
+            .collect();
+        let mut best = fits[0];
+        for fit in &fits[1..] {
+            if best.explained + TIE < fit.explained {
+                best = *fit;
+            }
+        }
+        let column = data.column(best.weak.feature());
+        for ((margin, y), &x) in margins.iter_mut().zip(&y).zip(column) {
+            *margin += y * best.weak.value_of_feature(x);
+        }
+        // The weighted sum of squares of y = +-1 about 0 is 1.
+        rounds.push(Round { weak: best.weak, weighted_error: (1.0 - best.explained).max(0.0) });
+    }
+    rounds
+}

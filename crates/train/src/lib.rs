@@ -1,0 +1,110 @@
+//! `train`: features and labels -> a classifier ([`fit`]), and the same on folds
+//! ([`cross_validate`]).
+//!
+//! Every sum over pairs runs in one fixed order, so that results are the same to the bit for any
+//! number of threads; what runs in parallel are features, folds and learners.
+
+mod cross_validate;
+mod discrete;
+mod gentle;
+mod gentle_line;
+mod gentle_stump;
+mod matrix;
+
+use model::{Classifier, Learner, WeakLearner};
+use serde::{Deserialize, Serialize};
+
+pub use cross_validate::{CrossValidated, cross_validate};
+pub use matrix::Matrix;
+
+/// The section `[train]`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Options {
+    /// Which learners; each gives a model of its own.
+    pub learners: Vec<Learner>,
+    /// Boosting rounds T.
+    pub rounds: u32,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            learners: vec![Learner::Discrete, Learner::GentleLine, Learner::GentleStump],
+            rounds: 50,
+        }
+    }
+}
+
+/// Why there is no classifier.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub enum TrainError {
+    /// One class only, or no pair at all.
+    #[error(
+        "training needs pairs of both classes, found {n_positive} positive and {n_negative} negative"
+    )]
+    OneClass {
+        /// Positive pairs.
+        n_positive: usize,
+        /// Negative pairs.
+        n_negative: usize,
+    },
+    /// No feature tells any pair from another.
+    #[error("no feature differs between any two of the {n_pairs} pairs: nothing can be learned")]
+    NothingToLearn {
+        /// Pairs there are.
+        n_pairs: usize,
+    },
+    /// A value that is no number.
+    #[error("feature {feature} of pair {row} is {value}, expected a finite number")]
+    NotFinite {
+        /// Index of the feature.
+        feature: usize,
+        /// Index of the pair.
+        row: usize,
+        /// The value.
+        value: f64,
+    },
+    /// No round asked for.
+    #[error("`train.rounds` is 0, expected 1 or more")]
+    NoRounds,
+}
+
+/// One round as it was fitted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Round {
+    /// The weak learner chosen.
+    pub weak: WeakLearner,
+    /// Its error under the round's weights: for `discrete` the weighted share of wrong labels,
+    /// for the gentle learners the weighted mean of the squared residuals.
+    pub weighted_error: f64,
+}
+
+/// Fits a learner with up to `n_rounds` rounds; Discrete stops early where no stump is better
+/// than chance.
+pub fn fit(learner: Learner, n_rounds: u32, data: &Matrix) -> Result<Vec<Round>, TrainError> {
+    if n_rounds == 0 {
+        return Err(TrainError::NoRounds);
+    }
+    data.check()?;
+    let rounds = match learner {
+        Learner::Discrete => discrete::fit(n_rounds, data),
+        Learner::GentleLine => gentle::fit::<gentle_line::Line>(n_rounds, data),
+        Learner::GentleStump => gentle::fit::<gentle_stump::Stump>(n_rounds, data),
+    };
+    if rounds.is_empty() {
+        return Err(TrainError::NothingToLearn { n_pairs: data.n_rows() });
+    }
+    Ok(rounds)
+}
+
+/// The classifier of fitted rounds.
+pub fn classifier(learner: Learner, rounds: &[Round]) -> Classifier {
+    Classifier { learner, rounds: rounds.iter().map(|round| round.weak).collect() }
+}
+
+/// Two errors closer than this are a tie, decided by the order of features and thresholds.
+///
+/// Errors that are equal on paper differ by rounding, which depends on the order of summation;
+/// weights sum to 1, so that rounding stays below 1e-13 for a million pairs.
+const TIE: f64 = 1e-12;

@@ -1,0 +1,89 @@
+use dataset::Label;
+
+use crate::TrainError;
+
+/// Feature differences of labelled pairs, column by column.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Matrix {
+    columns: Vec<Vec<f64>>,
+    labels: Vec<Label>,
+}
+
+impl Matrix {
+    /// From columns, `(n_features, n_pairs)`, and labels, `(n_pairs,)`.
+    ///
+    /// # Panics
+    /// If a column's length is not the number of labels.
+    pub fn new(columns: Vec<Vec<f64>>, labels: Vec<Label>) -> Self {
+        assert!(columns.iter().all(|column| column.len() == labels.len()));
+        Self { columns, labels }
+    }
+
+    /// The rows of the given indices.
+    pub fn select(&self, rows: &[usize]) -> Self {
+        Self {
+            columns: self
+                .columns
+                .iter()
+                .map(|column| rows.iter().map(|&row| column[row]).collect())
+                .collect(),
+            labels: rows.iter().map(|&row| self.labels[row]).collect(),
+        }
+    }
+
+    /// Number of pairs.
+    pub fn n_rows(&self) -> usize {
+        self.labels.len()
+    }
+
+    /// The values of one feature, `(n_pairs,)`.
+    pub fn column(&self, feature: usize) -> &[f64] {
+        &self.columns[feature]
+    }
+
+    /// All columns, `(n_features, n_pairs)`.
+    pub fn columns(&self) -> &[Vec<f64>] {
+        &self.columns
+    }
+
+    /// The labels, `(n_pairs,)`.
+    pub fn labels(&self) -> &[Label] {
+        &self.labels
+    }
+
+    /// Number of pairs of a label.
+    pub fn count(&self, label: Label) -> usize {
+        self.labels.iter().filter(|&&l| l == label).count()
+    }
+
+    pub(crate) fn check(&self) -> Result<(), TrainError> {
+        let (n_positive, n_negative) = (self.count(Label::Positive), self.count(Label::Negative));
+        if n_positive == 0 || n_negative == 0 {
+            return Err(TrainError::OneClass { n_positive, n_negative });
+        }
+        for (feature, column) in self.columns.iter().enumerate() {
+            if let Some(row) = column.iter().position(|value| !value.is_finite()) {
+                return Err(TrainError::NotFinite { feature, row, value: column[row] });
+            }
+        }
+        Ok(())
+    }
+
+    /// Rows of each feature in ascending order of its values, ties in order of the rows.
+    pub(crate) fn sorted_rows(&self) -> Vec<Vec<u32>> {
+        self.columns
+            .iter()
+            .map(|column| {
+                let mut rows: Vec<u32> = (0..column.len() as u32).collect();
+                rows.sort_by(|&a, &b| column[a as usize].total_cmp(&column[b as usize]));
+                rows
+            })
+            .collect()
+    }
+}
+
+/// The middle between two neighbouring values of a feature; none where no number lies between.
+pub(crate) fn midpoint(lower: f64, upper: f64) -> Option<f64> {
+    let middle = lower + (upper - lower) / 2.0;
+    (lower < middle && middle < upper).then_some(middle)
+}
