@@ -14,7 +14,8 @@ pub struct Pose2 {
 impl Pose2 {
     /// Straight-line distance to another position \[m\].
     pub fn distance_m(&self, other: &Self) -> f64 {
-        (self.x_m - other.x_m).hypot(self.y_m - other.y_m)
+        let (dx, dy) = (self.x_m - other.x_m, self.y_m - other.y_m);
+        (dx * dx + dy * dy).sqrt()
     }
 
     /// Unsigned angle between two headings \[rad\], 0 to pi.

@@ -91,11 +91,11 @@ impl Paper16 {
         let std_of_mean = sample_std(scratch);
 
         scratch.clear();
-        scratch.extend(points.iter().map(|p| p[0].hypot(p[1])));
+        scratch.extend(points.iter().map(|p| distance(p, &[0.0; 2])));
         let std_of_ranges = sample_std(scratch);
 
         Ok([
-            mu[0].hypot(mu[1]),                      // 1 centroid: |mu|
+            distance(&mu, &[0.0; 2]),                // 1 centroid: |mu|
             close_area,                              // 2 sum over close steps of 1/2 |p x q|
             close().sum(),                           // 3 close_distance: sum of close d_i
             circle.radius,                           // 4 circle_radius
@@ -119,7 +119,7 @@ impl Paper16 {
         self.angles_rad.clear();
         for (p, q) in steps(&self.points, is_ring) {
             self.steps_m.push(distance(p, q));
-            self.angles_rad.push(cross(p, q).abs().atan2(dot(p, q)));
+            self.angles_rad.push(libm::atan2(cross(p, q).abs(), dot(p, q)));
         }
     }
 }

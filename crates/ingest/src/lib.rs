@@ -221,10 +221,10 @@ const PIECES_PER_THREAD: usize = 8;
 /// Reads one log: hands its scans to `take` in order, a batch at a time, and returns the rest.
 ///
 /// `progress` is told how many bytes of the file have been read.
-pub fn ingest<E: From<IngestError>>(
+pub fn ingest<E: From<IngestError> + Send>(
     log: &Log,
     options: &Options,
-    mut take: impl FnMut(Vec<Scan>) -> Result<(), E>,
+    mut take: impl FnMut(Vec<Scan>) -> Result<(), E> + Send,
     progress: impl Fn(u64),
 ) -> Result<Ingested, E> {
     let contents = log.contents();
@@ -233,37 +233,35 @@ pub fn ingest<E: From<IngestError>>(
         Some(pose) => Some(contents.topic(log, &pose.topic, "ingest.pose.topic", &POSE_TYPES)?),
         None => None,
     };
-    let mut dropped = contents.dropped.clone();
-    let mut poses: Vec<StampedPose> = Vec::new();
-    let mut cutter = TurnCutter::new(options.lidar.max_hole_deg);
-    let maker = ScanMaker::new(&options.lidar);
-    let mut n_scans = 0;
-    let mut take = |scans: Vec<Scan>| {
-        n_scans += scans.len();
-        take(scans)
-    };
-
     let pieces: Vec<&Piece> = contents.pieces_with(&lidar, pose.as_ref());
-    for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
-        // Decode the pieces side by side ...
-        let decoded: Vec<Decoded> = window
+    let windows: Vec<&[&Piece]> =
+        pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()).collect();
+    let decode_window = |window: &[&Piece]| -> Vec<Decoded> {
+        window
             .par_iter()
             .map_init(Buffer::default, |buffer, piece| {
                 decode(log, piece, &lidar, pose.as_ref(), &options.lidar, buffer)
             })
-            .collect();
-        // ... and join them in the order of the file.
-        let mut turns = Vec::new();
-        let mut scans = Vec::new();
-        for piece in decoded {
-            for packet in &piece.packets {
-                cutter.push(packet, &mut turns);
-            }
-            scans.extend(piece.scans);
-            poses.extend(piece.poses);
-            dropped.merge(piece.dropped);
-        }
-        if let Some(other) = cutter.other_sensor() {
+            .collect()
+    };
+    let mut joiner = Joiner {
+        cutter: TurnCutter::new(options.lidar.max_hole_deg),
+        maker: ScanMaker::new(&options.lidar),
+        poses: Vec::new(),
+        dropped: contents.dropped.clone(),
+        n_scans: 0,
+    };
+    // The pieces of a window are decoded side by side, and joined in the order of the file while
+    // the next window is being decoded.
+    let mut decoded = windows.first().map(|window| decode_window(window)).unwrap_or_default();
+    for (k, window) in windows.iter().enumerate() {
+        let next = windows.get(k + 1);
+        let (joined, next_decoded) = rayon::join(
+            || joiner.join(std::mem::take(&mut decoded), &mut take),
+            || next.map(|window| decode_window(window)).unwrap_or_default(),
+        );
+        joined?;
+        if let Some(other) = joiner.cutter.other_sensor() {
             return Err(IngestError::OtherSensor {
                 path: log.path().to_owned(),
                 topic: lidar.name.clone(),
@@ -272,14 +270,15 @@ pub fn ingest<E: From<IngestError>>(
             }
             .into());
         }
-        scans.par_extend(turns.par_iter().map(|turn| maker.scan(turn)));
-        take(scans)?;
+        decoded = next_decoded;
         let end = window.last().map_or(0, |piece| piece.end());
         log.forget_up_to(end);
         progress(end as u64);
     }
+    let Joiner { cutter, maker, poses, mut dropped, mut n_scans } = joiner;
     let mut turns = Vec::new();
     let ends = cutter.finish(&mut turns);
+    n_scans += turns.len();
     take(turns.par_iter().map(|turn| maker.scan(turn)).collect())?;
     dropped.merge(ends.dropped);
 
@@ -310,6 +309,37 @@ pub fn ingest<E: From<IngestError>>(
         .into());
     }
     Ok(Ingested { trajectory, n_scans, n_partial_turns: ends.n_partial, dropped })
+}
+
+/// Puts together what the pieces hold, in the order of the file.
+struct Joiner {
+    cutter: TurnCutter,
+    maker: ScanMaker,
+    poses: Vec<StampedPose>,
+    dropped: Dropped,
+    n_scans: usize,
+}
+
+impl Joiner {
+    fn join<E>(
+        &mut self,
+        decoded: Vec<Decoded>,
+        take: &mut impl FnMut(Vec<Scan>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut turns = Vec::new();
+        let mut scans = Vec::new();
+        for piece in decoded {
+            for packet in &piece.packets {
+                self.cutter.push(packet, &mut turns);
+            }
+            scans.extend(piece.scans);
+            self.poses.extend(piece.poses);
+            self.dropped.merge(piece.dropped);
+        }
+        scans.par_extend(turns.par_iter().map(|turn| self.maker.scan(turn)));
+        self.n_scans += scans.len();
+        take(scans)
+    }
 }
 
 /// What one piece of the log holds.

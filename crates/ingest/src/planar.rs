@@ -26,7 +26,7 @@ pub(crate) fn scan(
     };
     for (beam, &range) in message.ranges.iter().enumerate() {
         if own_limits.contains(&range) && limits.contains(&range) {
-            let (sin, cos) = (f64::from(message.angle_min) + beam as f64 * increment).sin_cos();
+            let (sin, cos) = libm::sincos(f64::from(message.angle_min) + beam as f64 * increment);
             scan.x_m.push((f64::from(range) * cos) as f32);
             scan.y_m.push((f64::from(range) * sin * side) as f32);
         }

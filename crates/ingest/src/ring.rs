@@ -68,7 +68,9 @@ pub(crate) fn extract(
     packets: &mut Vec<RingPacket>,
     dropped: &mut Dropped,
 ) -> messages::Result<()> {
-    for (end_ns, bytes) in VelodyneScan::read(encoding, data)?.packets() {
+    let scan = VelodyneScan::read(encoding, data)?;
+    packets.reserve(scan.len());
+    for (end_ns, bytes) in scan.packets() {
         match Packet::new(bytes) {
             Ok(packet) => packets.push(RingPacket::new(end_ns, &packet)),
             Err(_) => dropped.add("packets without the layout of an HDL-32E data packet", 1),

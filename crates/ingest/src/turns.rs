@@ -270,7 +270,7 @@ impl ScanMaker {
     pub(crate) fn new(options: &LidarOptions) -> Self {
         let directions = (0..AZIMUTH_COUNTS)
             .map(|count| {
-                let (sin, cos) = (f64::from(count) * TAU / f64::from(AZIMUTH_COUNTS)).sin_cos();
+                let (sin, cos) = libm::sincos(f64::from(count) * TAU / f64::from(AZIMUTH_COUNTS));
                 [cos, sin]
             })
             .collect();

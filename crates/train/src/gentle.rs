@@ -47,7 +47,7 @@ pub(crate) fn fit<W: WeakFit>(n_rounds: u32, data: &Matrix) -> Vec<Round> {
     for _ in 0..n_rounds {
         let least = margins.iter().copied().fold(f64::INFINITY, f64::min);
         for (w, margin) in weights.iter_mut().zip(&margins) {
-            *w = (least - margin).exp();
+            *w = libm::exp(least - margin);
         }
         let sum: f64 = weights.iter().sum();
         weights.iter_mut().for_each(|w| *w /= sum);

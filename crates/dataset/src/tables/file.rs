@@ -11,6 +11,7 @@ use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_reader::{
     ArrowReaderMetadata, ArrowReaderOptions, ParquetRecordBatchReaderBuilder,
 };
+use parquet::arrow::arrow_writer::ArrowWriterOptions;
 use parquet::basic::{Compression, ZstdLevel};
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::{EnabledStatistics, WriterProperties, WriterPropertiesBuilder};
@@ -83,9 +84,13 @@ pub fn write_table(
 ) -> Result<()> {
     write_atomically(path, |file| {
         let failed = |e: parquet::errors::ParquetError| write_error(path, e);
-        let properties = properties(provenance.to_metadata(kind)).build();
+        // Without the embedded Arrow schema, which all our types do without, readers in Python show
+        // the provenance as the schema's metadata.
+        let options = ArrowWriterOptions::new()
+            .with_properties(properties(provenance.to_metadata(kind)).build())
+            .with_skip_arrow_metadata(true);
         let mut writer =
-            ArrowWriter::try_new(file, batch.schema(), Some(properties)).map_err(failed)?;
+            ArrowWriter::try_new_with_options(file, batch.schema(), options).map_err(failed)?;
         writer.write(batch).map_err(failed)?;
         Ok((writer.into_inner().map_err(failed)?, ()))
     })

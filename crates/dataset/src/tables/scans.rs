@@ -24,7 +24,6 @@ use arrow_array::{
 use arrow_schema::{DataType, Field, Schema, SchemaRef};
 use parquet::arrow::ArrowSchemaConverter;
 use parquet::arrow::ProjectionMask;
-use parquet::arrow::add_encoded_arrow_schema_to_metadata;
 use parquet::arrow::arrow_reader::{RowSelection, RowSelector};
 use parquet::arrow::arrow_writer::{ArrowColumnChunk, ArrowRowGroupWriterFactory, compute_leaves};
 use parquet::basic::Encoding;
@@ -102,8 +101,7 @@ impl<'a> ScanWriter<'a> {
                 .set_column_statistics_enabled(leaf.clone(), EnabledStatistics::None)
                 .set_column_encoding(leaf, Encoding::BYTE_STREAM_SPLIT);
         }
-        let mut properties = builder.build();
-        add_encoded_arrow_schema_to_metadata(&schema, &mut properties);
+        let properties = builder.build();
         let failed = |e| write_error(path, e);
         let parquet_schema = ArrowSchemaConverter::new().convert(&schema).map_err(failed)?;
         let file =

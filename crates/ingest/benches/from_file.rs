@@ -1,0 +1,134 @@
+//! From a log on disk to its scans table, beside the least that any reader has to do: read the
+//! same messages with the `mcap` crate and sum their bytes, with as many threads.
+//!
+//! `cargo bench -p ingest --bench from_file [-- LOG.mcap [LIDAR_TOPIC POSE_TOPIC]]`
+//!
+//! Without a log it takes `logs/hdl32e-killian.mcap` of the folder in `LOOPBOOST_DATA`. Both are
+//! run in turn, so that a machine that slows down slows both; the ratio is of the medians. What
+//! is computed is checked too: every run must give the same scans and the same sum.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use dataset::tables::scans::write_scans;
+use dataset::tables::{Provenance, TableError};
+use ingest::{IngestError, LidarOptions, Log, Options, PoseOptions};
+use rayon::prelude::*;
+
+const RUNS: usize = 7;
+
+fn main() {
+    let mut args = std::env::args().skip(1).filter(|arg| !arg.starts_with("--"));
+    let log = args.next().map(PathBuf::from).or_else(killian);
+    let Some(log) = log.filter(|log| log.exists()) else {
+        println!("skipped: no shared data (set LOOPBOOST_DATA or name a log)");
+        return;
+    };
+    let lidar = args.next().unwrap_or_else(|| "/velodyne_packets".to_owned());
+    let pose = args.next().unwrap_or_else(|| "/ground_truth".to_owned());
+    println!("{}", log.display());
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let table = folder.path().join("scans.parquet");
+    for threads in [1, std::thread::available_parallelism().map_or(2, usize::from)] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        let (mut ours, mut peer) = (Vec::new(), Vec::new());
+        let (mut scans, mut sums) = (Vec::new(), Vec::new());
+        for _ in 0..RUNS {
+            let (time, sum) = timed(|| pool.install(|| sum_of_messages(&log, [&lidar, &pose])));
+            peer.push(time);
+            sums.push(sum);
+            let (time, n) = timed(|| pool.install(|| to_scans_table(&log, &table, &lidar, &pose)));
+            ours.push(time);
+            scans.push(n);
+        }
+        assert!(scans.iter().all(|n| *n == scans[0]) && sums.iter().all(|s| *s == sums[0]));
+        let (ours, peer) = (median(ours), median(peer));
+        println!("{threads} threads, median of {RUNS}:");
+        println!("  file -> scans table          {ours:>10.3?}   {} scans", scans[0]);
+        println!("  mcap crate, sum of the bytes {peer:>10.3?}   sum {}", sums[0]);
+        println!(
+            "  ratio                        {:>10.2}",
+            ours.as_secs_f64() / peer.as_secs_f64()
+        );
+    }
+    if let Some(peak) = peak_memory_kb() {
+        println!("peak memory of this process, both together: {} MB", peak / 1024);
+    }
+}
+
+fn killian() -> Option<PathBuf> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let data = std::env::var_os("LOOPBOOST_DATA")
+        .map_or_else(|| root.join("../shared/data"), PathBuf::from);
+    Some(data.join("logs/hdl32e-killian.mcap"))
+}
+
+fn to_scans_table(log: &Path, table: &Path, lidar: &str, pose: &str) -> usize {
+    let options = Options {
+        lidar: LidarOptions { topic: lidar.to_owned(), ..LidarOptions::default() },
+        pose: Some(PoseOptions { topic: pose.to_owned() }),
+    };
+    let log = Log::open(log).expect("a log");
+    write_scans(table, &Provenance::default(), "log", |writer| {
+        let ingested =
+            ingest::ingest(&log, &options, |scans| Ok::<_, Failed>(writer.push(scans)?), |_| ())?;
+        assert!(!ingested.trajectory.poses().is_empty());
+        Ok::<_, Failed>(ingested.n_scans)
+    })
+    .expect("an intact log")
+}
+
+/// Chunk by chunk, some at once; the file is mapped, as ours is.
+fn sum_of_messages(log: &Path, topics: [&str; 2]) -> u64 {
+    let log = Log::open(log).expect("a log");
+    let summary = mcap::Summary::read(log.bytes()).expect("readable").expect("a summary");
+    summary
+        .chunk_indexes
+        .par_iter()
+        .map(|index| {
+            let messages = summary.stream_chunk(log.bytes(), index).expect("a chunk");
+            messages
+                .map(|message| message.expect("a message"))
+                .filter(|message| topics.contains(&message.channel.topic.as_str()))
+                .map(|message| message.data.iter().map(|&byte| u64::from(byte)).sum::<u64>())
+                .sum::<u64>()
+        })
+        .sum()
+}
+
+fn timed<T>(work: impl FnOnce() -> T) -> (Duration, T) {
+    let start = Instant::now();
+    let value = work();
+    (start.elapsed(), value)
+}
+
+fn median(mut times: Vec<Duration>) -> Duration {
+    times.sort_unstable();
+    times[times.len() / 2]
+}
+
+/// High-water mark of the resident set, mapped file included (Linux).
+fn peak_memory_kb() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
+    line.split_whitespace().nth(1)?.parse().ok()
+}
+
+#[derive(Debug)]
+#[allow(dead_code, reason = "shown by `expect`")]
+enum Failed {
+    Table(TableError),
+    Ingest(IngestError),
+}
+
+impl From<TableError> for Failed {
+    fn from(error: TableError) -> Self {
+        Self::Table(error)
+    }
+}
+
+impl From<IngestError> for Failed {
+    fn from(error: IngestError) -> Self {
+        Self::Ingest(error)
+    }
+}
