@@ -264,9 +264,9 @@ impl Log {
         if !to_end_of_file && at != range.end {
             contents.dropped.add("stretches between chunks that hold no records", 1);
         }
-        if to_end_of_file && !ended {
+        if to_end_of_file && !(ended && self.bytes.ends_with(mcap::MAGIC)) {
             contents.dropped.add(CUT, 1);
-            if self.bytes.get(at) == Some(&op::CHUNK) {
+            if !ended && self.bytes.get(at) == Some(&op::CHUNK) {
                 let range = at..self.bytes.len();
                 contents.pieces.push(Piece { kind: PieceKind::CutChunk, range, channels: None });
             }

@@ -145,10 +145,12 @@ mod tests {
         let bytes = PacketBuilder::new([0; BLOCKS], 0).finish();
         let packet = RingPacket::new(0, &Packet::new(&bytes).unwrap());
         (0..10)
-            .map(|k| RingPacket {
-                device_us: (HOUR_US - 1000 + k * period_us) % HOUR_US,
-                product,
-                ..packet
+            .map(|k| {
+                let mut packet = packet;
+                packet.device_us = ((u64::from(HOUR_US) - 1000 + k * u64::from(period_us))
+                    % u64::from(HOUR_US)) as u32;
+                packet.product = product;
+                packet
             })
             .collect()
     }

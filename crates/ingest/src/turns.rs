@@ -312,3 +312,186 @@ impl ScanMaker {
         [cos * cos_d - sin * sin_d, sin * cos_d + cos * sin_d]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use messages::hdl32e::{BLOCKS, HOUR_US, PACKET_PERIOD_NS};
+
+    /// Packets of a sensor that turns by `step` \[0.01 deg\] a block, starting at `azimuth`; each
+    /// firing measures 5 m.
+    fn packets(n: usize, azimuth: u32, step: u32) -> Vec<RingPacket> {
+        (0..n)
+            .map(|k| RingPacket {
+                end_ns: 1_000_000_000 + (k as i64 + 1) * PACKET_PERIOD_NS,
+                // The clock wraps at the top of the hour after the third packet.
+                device_us: ((u64::from(HOUR_US) - 1500 + 553 * k as u64) % u64::from(HOUR_US))
+                    as u32,
+                n_firings: BLOCKS as u8,
+                product: 0x21,
+                azimuth: std::array::from_fn(|b| {
+                    ((azimuth + step * (k * BLOCKS + b) as u32) % 36_000) as u16
+                }),
+                distance: [2500; BLOCKS],
+            })
+            .collect()
+    }
+
+    fn cut(packets: &[RingPacket]) -> (Vec<Turn>, Ends) {
+        let mut cutter = TurnCutter::new(5.0);
+        let mut turns = Vec::new();
+        for packet in packets {
+            cutter.push(packet, &mut turns);
+        }
+        let ends = cutter.finish(&mut turns);
+        (turns, ends)
+    }
+
+    fn reasons(ends: &Ends) -> Vec<(&str, u64)> {
+        ends.dropped.iter().collect()
+    }
+
+    /// With steps of 0.2 deg laser 15 fires 0.075 deg after its block's azimuth. Blocks at 359.8,
+    /// 0.0, 0.2 deg give 359.875, 0.075, 0.275 deg: a turn has 1800 firings and starts at 0.075.
+    #[test]
+    fn a_turn_starts_at_the_first_firing_past_zero() {
+        let (turns, ends) = cut(&packets(400, 35_000, 20));
+        // 4800 firings: 50 before the first cut (350.0 to 359.8 deg), two turns, the rest.
+        assert_eq!((turns.len(), ends.n_partial), (2, 2));
+        assert!(ends.dropped.is_empty());
+        for (k, turn) in turns.iter().enumerate() {
+            assert_eq!(turn.firings.len(), 1800);
+            assert_eq!(turn.firings[0].fine_azimuth, 15 * 20);
+            assert_eq!(turn.firings[1].fine_azimuth, 55 * 20);
+            // Block 50 of the log, then 1800 blocks on; laser 15 fires 17.28 us into its block.
+            let block = 50 + 1800 * k as i64;
+            assert_eq!(turn.stamp_ns, 1_000_000_000 + block * 46_080 + 17_280);
+        }
+        let scan = ScanMaker::new(&LidarOptions::default()).scan(&turns[0]);
+        assert!((scan.coverage_deg - 359.8).abs() < 1e-4);
+        assert!(scan.is_ring());
+    }
+
+    /// The step from 359.99 to 0.19 deg is 0.2 deg, not -359.8; of it 3/8 is 0.075.
+    #[test]
+    fn azimuth_is_interpolated_across_the_seam() {
+        let (turns, _) = cut(&packets(400, 35_999, 20));
+        // Blocks at 359.99 + 0.2 k: laser 15 of the first fires at 0.065 deg, so that the log
+        // starts with a cut and its first turn is whole.
+        assert_eq!(turns[0].firings[0].fine_azimuth, 65 * 4);
+        assert_eq!(turns[0].stamp_ns, 1_000_000_000 + 17_280);
+        assert_eq!(turns.len(), 2);
+    }
+
+    #[test]
+    fn a_small_hole_is_kept_and_told_a_large_one_dropped() {
+        let whole = packets(600, 35_000, 20);
+        // Each packet is 2.4 deg. Two of them missing: 4.8 deg.
+        let mut small = whole.clone();
+        small.drain(100..102);
+        let (turns, ends) = cut(&small);
+        assert_eq!((turns.len(), reasons(&ends).len()), (3, 0));
+        let scan = ScanMaker::new(&LidarOptions::default()).scan(&turns[0]);
+        assert!((scan.coverage_deg - 355.0).abs() < 1e-4, "359.8 less the hole");
+        // Three missing: 7.2 deg, that turn is dropped.
+        let mut large = whole.clone();
+        large.drain(100..103);
+        let (turns, ends) = cut(&large);
+        assert_eq!(turns.len(), 2);
+        assert_eq!(reasons(&ends), [("turns with a hole of more than 5 deg (packets missing)", 1)]);
+        // The cut itself may lie in the hole: both turns lose.
+        let mut seam = whole.clone();
+        seam.drain(150..160);
+        let (turns, ends) = cut(&seam);
+        assert_eq!(turns.len(), 1, "{:?}", reasons(&ends));
+        assert_eq!(reasons(&ends), [("turns with a hole of more than 5 deg (packets missing)", 2)]);
+    }
+
+    #[test]
+    fn turns_that_are_missing_altogether_are_counted() {
+        let mut packets = packets(900, 35_000, 20);
+        // 450 packets are three turns; after them the azimuth looks as if nothing were missing.
+        // On paper: 350 + 200 x 2.4 = 830 deg, one whole turn (360 to 720); the hole reaches to
+        // 1910 deg and takes from 720..1080 and 1800..2160 and all of the two turns between; the
+        // log ends at 2510 deg.
+        packets.drain(200..650);
+        let (turns, ends) = cut(&packets);
+        assert_eq!(
+            reasons(&ends),
+            [
+                ("turns of which every packet is missing", 2),
+                ("turns with a hole of more than 5 deg (packets missing)", 2)
+            ]
+        );
+        assert_eq!((turns.len(), ends.n_partial), (1, 2));
+    }
+
+    #[test]
+    fn an_interruption_starts_anew() {
+        let mut both = packets(400, 35_000, 20);
+        let mut later = packets(400, 12_000, 20);
+        for packet in &mut later {
+            packet.device_us =
+                ((u64::from(packet.device_us) + 600_000_000) % u64::from(HOUR_US)) as u32;
+            packet.end_ns += 600_000_000_000;
+        }
+        both.extend(later);
+        let (turns, ends) = cut(&both);
+        // The second recording starts at 120 deg: 1200 firings, then two turns to the very end.
+        assert_eq!((turns.len(), ends.n_partial), (4, 3));
+        assert_eq!(
+            reasons(&ends),
+            [("interruptions of the packet stream (clock jump or pause)", 1)]
+        );
+    }
+
+    #[test]
+    fn jitter_of_the_encoder_cuts_no_turn() {
+        let mut packets = packets(400, 35_000, 20);
+        packets[100].azimuth[5] = packets[100].azimuth[4] - 1;
+        let (turns, ends) = cut(&packets);
+        assert_eq!((turns.len(), ends.dropped.is_empty()), (2, true));
+    }
+
+    #[test]
+    fn a_device_clock_that_stands_still_is_done_without() {
+        let mut packets = packets(400, 35_000, 20);
+        packets.iter_mut().for_each(|packet| packet.device_us = 7);
+        let (turns, ends) = cut(&packets);
+        assert_eq!((turns.len(), ends.dropped.is_empty()), (2, true));
+    }
+
+    /// 5 m at azimuth 90 deg, clockwise: to the right, y = -5; upside down to the left.
+    #[test]
+    fn azimuth_is_clockwise_and_mirrored_upside_down() {
+        let firing = |deg: u32, distance| Firing { fine_azimuth: deg * 4000, distance };
+        let turn = Turn {
+            firings: vec![
+                firing(0, 2500),
+                firing(90, 2500),
+                firing(91, 0),
+                firing(180, 449),
+                firing(181, 450),
+            ],
+            ..Turn::default()
+        };
+        for (upside_down, y) in [(false, -5.0), (true, 5.0)] {
+            let scan = ScanMaker::new(&LidarOptions { upside_down, ..LidarOptions::default() })
+                .scan(&turn);
+            assert_eq!(scan.len(), 3, "no return and 0.898 m are left out, 0.9 m is kept");
+            assert_eq!((scan.x_m[0], scan.y_m[0].abs()), (5.0, 0.0));
+            assert!(scan.x_m[1].abs() < 1e-6 && (scan.y_m[1] - y).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn directions_are_exact_between_the_counts() {
+        let maker = ScanMaker::new(&LidarOptions::default());
+        for fine in (0..FINE_TURN).step_by(997) {
+            let angle = f64::from(fine) * TAU / f64::from(FINE_TURN);
+            let [cos, sin] = maker.direction(fine);
+            // The angle itself is rounded to 9e-16.
+            assert!((cos - angle.cos()).abs() < 2e-15 && (sin - angle.sin()).abs() < 2e-15);
+        }
+    }
+}

@@ -1,0 +1,418 @@
+//! Logs, whole and damaged, made in memory with the `mcap` crate.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::Path;
+use std::sync::Arc;
+
+use dataset::{Dropped, Scan, StampedPose};
+use ingest::{IngestError, Ingested, LidarOptions, Log, Options, PoseOptions};
+use mcap::{Channel, Compression, Message, Schema, WriteOptions};
+use messages::hdl32e::{BLOCKS, PACKET_PERIOD_NS, PacketBuilder};
+use messages::ros::{self, Encoding, LaserScan, StampedPose3};
+
+/// One message of a log: topic, schema, encoding, data.
+type Entry = (&'static str, &'static str, &'static str, Vec<u8>);
+
+fn planar(k: i64, encoding: Encoding) -> Vec<u8> {
+    let scan = LaserScan {
+        stamp_ns: k * 100_000_000,
+        angle_min: -1.5,
+        angle_increment: 0.5,
+        range_min: 0.1,
+        range_max: 50.0,
+        ranges: (0..7).map(|beam| 1.0 + (k + beam) as f32).collect(),
+    };
+    ros::write_laser_scan(encoding, "laser", &scan)
+}
+
+fn pose(k: i64, encoding: Encoding) -> Vec<u8> {
+    let pose = StampedPose3 {
+        stamp_ns: k * 100_000_000,
+        position: [k as f64, 0.0, 0.0],
+        orientation: [0.0, 0.0, 0.0, 1.0],
+    };
+    ros::write_pose_stamped(encoding, "map", &pose)
+}
+
+/// Ten planar scans and ten poses.
+fn planar_log() -> Vec<Entry> {
+    (0..10)
+        .flat_map(|k| {
+            [
+                ("/scan", "sensor_msgs/msg/LaserScan", "cdr", planar(k, Encoding::Cdr)),
+                ("/pose", "geometry_msgs/msg/PoseStamped", "cdr", pose(k, Encoding::Cdr)),
+            ]
+        })
+        .collect()
+}
+
+/// 2.5 turns of an HDL-32E that sees a wall at 3 to 9 m all around, in messages of 100 packets.
+fn packet_log(encoding: Encoding) -> Vec<Entry> {
+    let step = 17;
+    let packets: Vec<_> = (0..440i64)
+        .map(|k| {
+            let first_block = k as u32 * BLOCKS as u32;
+            let azimuths =
+                std::array::from_fn(|b| ((step * (first_block + b as u32)) % 36_000) as u16);
+            let mut packet = PacketBuilder::new(azimuths, (k * 553) as u32);
+            for block in 0..BLOCKS {
+                packet.set_return(block, 15, 1500 + azimuths[block] / 12, 100);
+                packet.set_return(block, 14, 999, 100);
+            }
+            ((k + 1) * PACKET_PERIOD_NS, packet.finish())
+        })
+        .collect();
+    let (schema, name) = match encoding {
+        Encoding::Cdr => ("velodyne_msgs/msg/VelodyneScan", "cdr"),
+        Encoding::Ros1 => ("velodyne_msgs/VelodyneScan", "ros1"),
+    };
+    packets
+        .chunks(100)
+        .map(|chunk| {
+            ("/packets", schema, name, ros::write_velodyne_scan(encoding, "velodyne", 0, chunk))
+        })
+        .collect()
+}
+
+/// Writes an MCAP file; an entry with an empty schema name gets a channel without schema.
+fn write(entries: &[Entry], options: WriteOptions) -> Vec<u8> {
+    let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+    let mut channels: BTreeMap<(&str, &str), Arc<Channel<'_>>> = BTreeMap::new();
+    for (k, (topic, schema, encoding, data)) in entries.iter().enumerate() {
+        let id = channels.len() as u16 + 1;
+        let channel = channels.entry((topic, schema)).or_insert_with(|| {
+            let schema = (!schema.is_empty()).then(|| {
+                // The text is left out: the name must do.
+                Arc::new(Schema {
+                    id,
+                    name: (*schema).to_owned(),
+                    encoding: "ros2msg".into(),
+                    data: Cow::Borrowed(b""),
+                })
+            });
+            Arc::new(Channel {
+                id,
+                topic: (*topic).to_owned(),
+                schema,
+                message_encoding: (*encoding).to_owned(),
+                metadata: BTreeMap::new(),
+            })
+        });
+        let message = Message {
+            channel: channel.clone(),
+            sequence: k as u32,
+            log_time: k as u64,
+            publish_time: k as u64,
+            data: Cow::Borrowed(data),
+        };
+        writer.write(&message).unwrap();
+    }
+    writer.finish().unwrap();
+    writer.into_inner().into_inner()
+}
+
+fn options(lidar: &str, pose: Option<&str>) -> Options {
+    Options {
+        lidar: LidarOptions { topic: lidar.to_owned(), ..LidarOptions::default() },
+        pose: pose.map(|topic| PoseOptions { topic: topic.to_owned() }),
+    }
+}
+
+fn small_chunks() -> WriteOptions {
+    WriteOptions::new().chunk_size(Some(600))
+}
+
+fn ingest_bytes(bytes: &[u8], options: &Options) -> Result<(Vec<Scan>, Ingested), IngestError> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    std::fs::write(&path, bytes).unwrap();
+    ingest_file(&path, options)
+}
+
+fn ingest_file(path: &Path, options: &Options) -> Result<(Vec<Scan>, Ingested), IngestError> {
+    let log = Log::open(path)?;
+    let mut scans = Vec::new();
+    let ingested = ingest::ingest(
+        &log,
+        options,
+        |batch| {
+            scans.extend(batch);
+            Ok::<_, IngestError>(())
+        },
+        |position| assert!(position <= log.bytes().len() as u64),
+    )?;
+    assert_eq!(scans.len(), ingested.n_scans);
+    Ok((scans, ingested))
+}
+
+fn reasons(dropped: &Dropped) -> Vec<(&str, u64)> {
+    dropped.iter().collect()
+}
+
+#[test]
+fn every_compression_and_layout_gives_the_same() {
+    let options = options("/scan", Some("/pose"));
+    let expected = ingest_bytes(&write(&planar_log(), small_chunks()), &options).unwrap();
+    assert_eq!((expected.0.len(), expected.1.trajectory.poses().len()), (10, 10));
+    assert!(expected.1.dropped.is_empty());
+    let plain = WriteOptions::new;
+    for (name, layout) in [
+        ("lz4", small_chunks().compression(Some(Compression::Lz4))),
+        ("none", small_chunks().compression(None)),
+        ("one chunk", plain()),
+        ("no chunks", plain().use_chunks(false)),
+        ("no message index", small_chunks().emit_message_indexes(false)),
+        ("no chunk index", small_chunks().emit_chunk_indexes(false)),
+        ("no repeated channels", small_chunks().repeat_channels(false)),
+        ("no statistics", small_chunks().emit_statistics(false)),
+        ("no summary", small_chunks().emit_summary_records(false)),
+        ("no CRC", small_chunks().calculate_chunk_crcs(false)),
+    ] {
+        let found = ingest_bytes(&write(&planar_log(), layout), &options).unwrap();
+        assert_eq!(found, expected, "{name}");
+    }
+}
+
+#[test]
+fn ros_1_and_ros_2_packets_give_the_same_turns() {
+    let options = options("/packets", None);
+    let (cdr, found) =
+        ingest_bytes(&write(&packet_log(Encoding::Cdr), WriteOptions::new()), &options).unwrap();
+    let (ros1, _) =
+        ingest_bytes(&write(&packet_log(Encoding::Ros1), small_chunks()), &options).unwrap();
+    assert_eq!(cdr, ros1);
+    // 5280 firings of 0.17 deg: the log starts at azimuth 0, so that its first turn is whole.
+    assert_eq!((cdr.len(), found.n_partial_turns), (2, 1));
+    assert_eq!(cdr[0].len(), 2118);
+    assert_eq!(cdr[0].stamp_ns, 17_280, "15 lasers of 1.152 us into the first block");
+    // The first firing: 1500 counts of 2 mm, at 3/8 of 0.17 deg to the right.
+    let azimuth = (0.375 * 0.17f64).to_radians();
+    assert!((f64::from(cdr[0].x_m[0]) - 3.0 * azimuth.cos()).abs() < 1e-6);
+    assert!((f64::from(cdr[0].y_m[0]) + 3.0 * azimuth.sin()).abs() < 1e-6);
+    let ends = [(0, 3.0), (2117, 0.002 * f64::from(1500 + 35_989 / 12))];
+    for (k, range_m) in ends {
+        let found = f64::from(cdr[0].x_m[k]).hypot(f64::from(cdr[0].y_m[k]));
+        assert!((found - range_m).abs() < 1e-5, "{found} {range_m}");
+    }
+}
+
+#[test]
+fn chunks_without_the_topics_are_not_decompressed() {
+    let mut entries: Vec<Entry> = vec![("/camera", "sensor_msgs/msg/Image", "cdr", vec![7; 3000])];
+    entries.extend(planar_log());
+    let mut bytes = write(&entries, small_chunks().compression(None));
+    // Spoil the camera's chunk: nobody asks for it.
+    let at = bytes.windows(100).position(|w| w == [7; 100]).unwrap();
+    bytes[at + 50] = 8;
+    let (scans, ingested) = ingest_bytes(&bytes, &options("/scan", Some("/pose"))).unwrap();
+    assert_eq!((scans.len(), ingested.dropped.is_empty()), (10, true));
+}
+
+#[test]
+fn altered_chunks_are_left_out_and_counted_in_every_compression() {
+    for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
+        let entries: Vec<Entry> = planar_log().into_iter().filter(|e| e.0 == "/scan").collect();
+        let whole =
+            write(&entries, WriteOptions::new().chunk_size(Some(100)).compression(compression));
+        let summary = mcap::Summary::read(&whole).unwrap().unwrap();
+        assert_eq!(summary.chunk_indexes.len(), 10);
+        let chunk = &summary.chunk_indexes[4];
+        let mut bytes = whole.clone();
+        let last = (chunk.chunk_start_offset + chunk.chunk_length) as usize - 3;
+        bytes[last] ^= 0x10;
+        let (scans, ingested) = ingest_bytes(&bytes, &options("/scan", None)).unwrap();
+        assert_eq!(scans.len(), 9, "{compression:?}");
+        let found = reasons(&ingested.dropped);
+        assert_eq!(found.len(), 1);
+        assert!(found[0].0.starts_with("chunks ") && found[0].1 == 1, "{found:?}");
+    }
+}
+
+#[test]
+fn a_chunk_that_claims_an_absurd_size_takes_no_memory() {
+    let entries: Vec<Entry> = planar_log().into_iter().filter(|e| e.0 == "/scan").collect();
+    let mut bytes = write(&entries, WriteOptions::new().chunk_size(Some(100)));
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    // opcode, length, start and end time stand before the uncompressed size.
+    let at = summary.chunk_indexes[4].chunk_start_offset as usize + 9 + 16;
+    bytes[at..at + 8].copy_from_slice(&(1u64 << 63).to_le_bytes());
+    let (scans, ingested) = ingest_bytes(&bytes, &options("/scan", None)).unwrap();
+    assert_eq!(scans.len(), 9);
+    assert_eq!(reasons(&ingested.dropped), [("chunks that claim more than 1073741824 bytes", 1)]);
+}
+
+/// At every cut: what is whole is kept and is a prefix of the whole log; the loss is counted.
+#[test]
+fn a_log_cut_at_any_byte_keeps_what_it_holds() {
+    let options = options("/scan", Some("/pose"));
+    for layout in [
+        small_chunks(),
+        small_chunks().compression(Some(Compression::Lz4)),
+        small_chunks().compression(None),
+        WriteOptions::new().use_chunks(false),
+    ] {
+        let whole = write(&planar_log(), layout);
+        let (all, _) = ingest_bytes(&whole, &options).unwrap();
+        let mut most = 0;
+        for cut in 0..whole.len() {
+            match ingest_bytes(&whole[..cut], &options) {
+                Ok((scans, ingested)) => {
+                    assert_eq!(scans[..], all[..scans.len()], "cut at {cut}");
+                    let poses = ingested.trajectory.poses();
+                    assert!(
+                        poses
+                            .iter()
+                            .zip(0..)
+                            .all(|(p, k): (&StampedPose, i64)| p.stamp_ns == k * 100_000_000)
+                    );
+                    assert!(!ingested.dropped.is_empty(), "cut at {cut} is counted");
+                    most = most.max(scans.len());
+                }
+                Err(
+                    IngestError::NotMcap { .. }
+                    | IngestError::NoTopic { .. }
+                    | IngestError::NoScans { .. }
+                    | IngestError::NoPoses { .. },
+                ) => {}
+                Err(other) => panic!("cut at {cut}: {other}"),
+            }
+        }
+        assert_eq!(most, 10, "a log that lacks its footer alone keeps all");
+    }
+}
+
+/// The messages of the chunk that the end of the file cuts are kept too.
+#[test]
+fn a_cut_chunk_gives_its_complete_messages() {
+    let whole = write(&packet_log(Encoding::Cdr), WriteOptions::new().compression(None));
+    let (scans, ingested) = ingest_bytes(&whole[..300_000], &options("/packets", None)).unwrap();
+    // Two whole messages, 200 packets of 12 firings: one turn and a part.
+    assert_eq!((scans.len(), ingested.n_partial_turns), (1, 1));
+    assert_eq!(ingested.dropped.iter().count(), 1);
+}
+
+#[test]
+fn random_damage_never_panics() {
+    let whole = write(&planar_log(), small_chunks());
+    let options = options("/scan", Some("/pose"));
+    let mut state = 2436u64;
+    let mut random = |below: usize| {
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    for _ in 0..1000 {
+        let mut bytes = whole.clone();
+        for _ in 0..=random(4) {
+            let at = random(bytes.len());
+            bytes[at] = random(256) as u8;
+        }
+        if let Ok((scans, _)) = ingest_bytes(&bytes, &options) {
+            assert!(scans.len() <= 20);
+        }
+    }
+}
+
+fn error(entries: &[Entry], lidar: &str, pose: Option<&str>) -> String {
+    ingest_bytes(&write(entries, small_chunks()), &options(lidar, pose)).unwrap_err().to_string()
+}
+
+#[test]
+fn a_wrong_topic_names_those_that_would_do() {
+    let message = error(&planar_log(), "/velodyne_points", None);
+    assert!(message.contains("drive.mcap has no topic `/velodyne_points`"), "{message}");
+    assert!(
+        message.contains(
+            "set `ingest.lidar.topic` to one of: `/scan` (sensor_msgs/msg/LaserScan, cdr)"
+        ),
+        "{message}"
+    );
+    let message = error(&planar_log(), "/scan", Some("/odom"));
+    assert!(message.contains("`ingest.pose.topic` to one of: `/pose`"), "{message}");
+    let camera = [("/camera", "sensor_msgs/msg/Image", "cdr", vec![1])];
+    let message = error(&camera, "/scan", None);
+    assert!(
+        message.contains("none would do; the log has `/camera` (sensor_msgs/msg/Image, cdr)"),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_wrong_type_or_encoding_is_named() {
+    let message = error(&planar_log(), "/pose", None);
+    assert!(
+        message.contains(
+            "`/pose` holds `geometry_msgs/msg/PoseStamped, cdr`, expected `VelodyneScan`"
+        ),
+        "{message}"
+    );
+    let json = [("/scan", "sensor_msgs/msg/LaserScan", "json", b"{}".to_vec())];
+    assert!(error(&json, "/scan", None).contains("`sensor_msgs/msg/LaserScan, json`"));
+    let bare = [("/scan", "", "cdr", vec![0, 1, 0, 0])];
+    assert!(error(&bare, "/scan", None).contains("`no schema, cdr`"));
+}
+
+#[test]
+fn messages_that_do_not_decode_are_counted() {
+    let mut entries = planar_log();
+    entries[4].3.truncate(30); // a scan
+    entries[5].3.truncate(30); // a pose
+    let (scans, ingested) =
+        ingest_bytes(&write(&entries, small_chunks()), &options("/scan", Some("/pose"))).unwrap();
+    assert_eq!((scans.len(), ingested.trajectory.poses().len()), (9, 9));
+    assert_eq!(
+        reasons(&ingested.dropped),
+        [
+            ("messages of /pose that do not decode as PoseStamped", 1),
+            ("messages of /scan that do not decode as LaserScan", 1)
+        ]
+    );
+}
+
+#[test]
+fn no_poses_and_no_scans_are_errors() {
+    let mut entries = planar_log();
+    for entry in entries.iter_mut().filter(|entry| entry.0 == "/pose") {
+        entry.3.truncate(10);
+    }
+    let message = error(&entries, "/scan", Some("/pose"));
+    assert!(
+        message.contains("topic `/pose` holds no usable pose (dropped: 10 messages"),
+        "{message}"
+    );
+    let part_of_a_turn: Vec<Entry> = packet_log(Encoding::Cdr).drain(..1).collect();
+    let message = error(&part_of_a_turn, "/packets", None);
+    assert!(
+        message.contains("`/packets` gives no scan; its packets span less than one turn"),
+        "{message}"
+    );
+}
+
+#[test]
+fn what_is_no_log_is_refused() {
+    for (bytes, found) in
+        [(&b""[..], "starts with nothing"), (b"#ROSBAG V2.0", "starts with 23 52 4f 53")]
+    {
+        let message = ingest_bytes(bytes, &options("/scan", None)).unwrap_err().to_string();
+        assert!(message.contains("is no MCAP log") && message.contains(found), "{message}");
+    }
+    let missing = ingest_file(Path::new("no/such.mcap"), &options("/scan", None)).unwrap_err();
+    assert!(missing.to_string().contains("cannot read no/such.mcap"));
+}
+
+#[test]
+fn another_sensor_is_refused_by_name() {
+    // A VLP-16 whose product byte says HDL-32E: its packets come every 1327 us.
+    let packets: Vec<_> = (0..300u32)
+        .map(|k| {
+            let azimuths = std::array::from_fn(|b| ((480 * k + 40 * b as u32) % 36_000) as u16);
+            (i64::from(k) * 1_327_104, PacketBuilder::new(azimuths, k * 1327).finish())
+        })
+        .collect();
+    let data = ros::write_velodyne_scan(Encoding::Cdr, "velodyne", 0, &packets);
+    let message =
+        error(&[("/packets", "velodyne_msgs/msg/VelodyneScan", "cdr", data)], "/packets", None);
+    assert!(message.contains("packets of a Velodyne VLP-16 (a packet every 1327 us)"), "{message}");
+}
