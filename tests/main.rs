@@ -1,1 +1,7 @@
-//! Whole-program tests.
+//! Whole-program tests: one binary, wired from `crates/loopboost`.
+
+mod errors;
+mod real_logs;
+mod run;
+mod structure;
+mod support;

@@ -19,7 +19,7 @@ pub struct Fact {
 }
 
 /// The error that the paper reports for its own campus.
-const PAPER_ERROR: &str = "under 5 %";
+const PAPER_ERROR: &str = "under 5\u{a0}%";
 
 /// The report as HTML.
 pub fn report(name: &str, input: &Input<'_>, evaluation: &Evaluation, facts: &[Fact]) -> String {
@@ -64,7 +64,7 @@ fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
             p class="headline" {
                 "Of " (input.pairs.len()) " pairs of scans, "
                 b { (best.learner) } " labels " b { (percent(best.confusion.error())) }
-                " wrongly (" (best.grouping) " folds, T = " (best.rounds) "). The paper reports "
+                " wrongly (" (best.grouping) " folds, T\u{a0}=\u{a0}" (best.rounds) "). The paper reports "
                 (PAPER_ERROR) " on its own campus."
             }
         }
@@ -254,7 +254,7 @@ fn selection(input: &Input<'_>) -> Markup {
             }
             div class="scroll" {
                 table {
-                    thead { tr { th { "round" } @for learner in &learners { th { (learner) } } } }
+                    thead { tr { th { "round" } @for learner in &learners { th class="text" { (learner) } } } }
                     tbody {
                         @for round in 1..=SELECTION_ROUNDS {
                             tr {
@@ -337,7 +337,7 @@ fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
 }
 
 fn percent(share: f64) -> String {
-    format!("{:.1} %", share * 100.0)
+    format!("{:.1}\u{a0}%", share * 100.0)
 }
 
 fn optional(share: Option<f64>) -> String {

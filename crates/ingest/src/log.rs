@@ -144,6 +144,9 @@ impl Log {
     /// From the summary; none where it is absent or contradicts the file.
     fn indexed_contents(&self) -> Option<Contents> {
         let bytes = self.bytes();
+        if !summary_is_intact(bytes) {
+            return None;
+        }
         let summary = mcap::Summary::read(bytes).ok()??;
         let counts = summary.stats.as_ref().map(|stats| &stats.channel_message_counts);
         let channels: BTreeMap<u16, Channel> = summary
@@ -203,6 +206,11 @@ impl Log {
     fn walked_contents(&self) -> Contents {
         let mut contents = Contents::default();
         self.walk(mcap::MAGIC.len()..self.bytes.len(), &mut contents);
+        if self.bytes.ends_with(mcap::MAGIC) && !summary_is_intact(self.bytes()) {
+            contents
+                .dropped
+                .add("summaries that are damaged (the log was read without its index)", 1);
+        }
         let mut schemas = BTreeMap::new();
         let mut channels: BTreeMap<u16, mcap::records::Channel> = BTreeMap::new();
         let mut counts: BTreeMap<u16, u64> = BTreeMap::new();
@@ -216,7 +224,10 @@ impl Log {
             Record::Message { header, .. } => *counts.entry(header.channel_id).or_default() += 1,
             _ => {}
         };
-        for record in records(self.bytes(), mcap::MAGIC.len()..self.bytes.len()) {
+        // Up to the end of the data: the summary repeats them, and may be what is damaged.
+        let data = records(self.bytes(), mcap::MAGIC.len()..self.bytes.len())
+            .take_while(|record| record.opcode != op::DATA_END);
+        for record in data {
             if matches!(record.opcode, op::SCHEMA | op::CHANNEL)
                 && let Ok(parsed) = mcap::parse_record(record.opcode, &self.bytes()[record.body])
             {
@@ -353,6 +364,21 @@ impl Channel {
     pub fn describe(&self) -> String {
         let schema = if self.schema.is_empty() { "no schema" } else { &self.schema };
         format!("{schema}, {}", self.message_encoding)
+    }
+}
+
+/// Whether the summary's CRC, where there is one, matches (MCAP specification, "Footer": over all
+/// bytes from the start of the summary to the CRC itself). An index with a flipped bit could hide
+/// chunks.
+fn summary_is_intact(bytes: &[u8]) -> bool {
+    let Ok(footer) = mcap::read::footer(bytes) else { return false };
+    let end = bytes.len() - mcap::MAGIC.len() - size_of::<u32>();
+    match usize::try_from(footer.summary_start) {
+        Ok(0) => true,
+        Ok(start) if start <= end => {
+            footer.summary_crc == 0 || footer.summary_crc == crc32fast::hash(&bytes[start..end])
+        }
+        _ => false,
     }
 }
 

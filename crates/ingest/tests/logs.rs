@@ -283,6 +283,26 @@ fn a_log_cut_at_any_byte_keeps_what_it_holds() {
     }
 }
 
+/// An index that was altered could hide a chunk: it is not believed, and nothing is lost.
+#[test]
+fn a_damaged_summary_hides_nothing() {
+    let whole = write(&planar_log(), small_chunks());
+    let options = options("/scan", Some("/pose"));
+    let expected = ingest_bytes(&whole, &options).unwrap().0;
+    let start = mcap::read::footer(&whole).unwrap().summary_start as usize;
+    for at in (start..whole.len() - 8).step_by(3) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1;
+        let (scans, ingested) = ingest_bytes(&bytes, &options).unwrap();
+        assert_eq!(scans, expected, "byte {at}");
+        assert_eq!(
+            reasons(&ingested.dropped),
+            [("summaries that are damaged (the log was read without its index)", 1)],
+            "byte {at}"
+        );
+    }
+}
+
 /// The messages of the chunk that the end of the file cuts are kept too.
 #[test]
 fn a_cut_chunk_gives_its_complete_messages() {

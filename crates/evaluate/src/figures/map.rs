@@ -75,12 +75,16 @@ pub(crate) fn map(site: &str, keyframes: &[Keyframe], pairs: &[Pair]) -> Markup 
             }
             figcaption {
                 b { (site) } ": " (of_site.len()) " keyframes, "
-                span class="key-positive" { (n_positive) " positive pairs" } ", "
-                span class="key-negative" { (n_negative) " negative pairs" }
+                span class="key-positive" { (counted(n_positive, "positive pair")) } ", "
+                span class="key-negative" { (counted(n_negative, "negative pair")) }
                 @if n_negative_drawn < n_negative { " (" (n_negative_drawn) " drawn)" }
             }
         }
     }
+}
+
+fn counted(n: usize, what: &str) -> String {
+    if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
 }
 
 /// A round length of about a fifth of the map \[m\].

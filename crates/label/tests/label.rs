@@ -1,0 +1,400 @@
+//! Keyframes to pairs with counts worked out by hand; the draw and the folds.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::PI;
+
+use dataset::{Keyframe, Label, Pair, Pose2, ScanId};
+use label::{Candidates, Grouping, LabelError, Options, folds, label};
+
+/// A full ring at (x, y), heading along x, in a log that is its own site; 100 m of path a scan.
+fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
+    Keyframe {
+        id: ScanId { log: log.into(), scan },
+        site: log.into(),
+        stamp_ns: i64::from(scan),
+        pose: Pose2 { x_m, y_m, heading_rad: 0.0 },
+        travel_m: 100.0 * f64::from(scan),
+        coverage_deg: 360.0,
+    }
+}
+
+/// Rings of one log along x.
+fn line(xs_m: &[f64]) -> Vec<Keyframe> {
+    xs_m.iter().zip(0..).map(|(&x_m, scan)| at("a", scan, x_m, 0.0)).collect()
+}
+
+/// The keyframes of three logs of one site: 5 by 5 positions 1 m apart, each log 10 m beyond the
+/// last, so that there are enough pairs of each class within 1.5 m and beyond 5 m.
+fn three_logs() -> Vec<Keyframe> {
+    let mut keyframes = Vec::new();
+    for (log, x_m) in [("a", 0.0), ("b", 10.0), ("c", 20.0)] {
+        keyframes.extend((0..25).map(|k| Keyframe {
+            site: "campus".into(),
+            ..at(log, k, x_m + f64::from(k % 5), f64::from(k / 5))
+        }));
+    }
+    keyframes
+}
+
+fn options(positive_radius_m: f64, negative_min_m: f64, pairs_per_class: usize) -> Options {
+    Options { positive_radius_m, negative_min_m, pairs_per_class, ..Options::default() }
+}
+
+/// Checks the number of positive, negative, ambiguous pairs, of those near in path and of those
+/// without a common frame; `options` must ask for no more than there are.
+#[track_caller]
+fn check(options: &Options, keyframes: &[Keyframe], counts: [u64; 5]) -> Vec<Pair> {
+    let [positive, negative, ambiguous, near_in_path, without_common_frame] = counts;
+    let (pairs, found) = label(options, 7, keyframes).unwrap();
+    let expected = Candidates { positive, negative, ambiguous, near_in_path, without_common_frame };
+    assert_eq!(found, expected);
+    let n = keyframes.len() as u64;
+    assert_eq!(counts.iter().sum::<u64>(), n * (n - 1) / 2, "every pair is counted once");
+    pairs
+}
+
+/// The pairs as labelled sets of two scans, whatever their order.
+fn names(keyframes: &[Keyframe], pairs: &[Pair]) -> BTreeSet<(BTreeSet<ScanId>, Label)> {
+    let id = |k: usize| keyframes[k].id.clone();
+    pairs.iter().map(|p| ([id(p.query), id(p.reference)].into(), p.label)).collect()
+}
+
+#[test]
+fn pairs_on_a_line_are_near_far_or_between() {
+    // Near: 0-1 and 60-61 at 1 m, 1-2.5 at exactly 1.5 m. Between: 0-2.5. Far: 3 times 2.
+    let keyframes = line(&[0.0, 1.0, 2.5, 60.0, 61.0]);
+    let pairs = check(&options(1.5, 50.0, 3), &keyframes, [3, 6, 1, 0, 0]);
+    let near: Vec<_> = pairs
+        .iter()
+        .filter(|p| p.label == Label::Positive)
+        .map(|p| (p.query, p.reference, p.distance_m, p.travel_gap_m))
+        .collect();
+    assert_eq!(near, [(1, 0, 1.0, 100.0), (2, 1, 1.5, 100.0), (4, 3, 1.0, 100.0)]);
+    assert!(pairs.iter().all(|p| p.heading_difference_rad == Some(0.0)));
+}
+
+#[test]
+fn pairs_on_a_grid_are_counted_at_both_limits() {
+    // 3 by 3 positions 1 m apart: 12 pairs at 1 m, 8 at sqrt 2, 6 at 2 m, 8 at sqrt 5, 2 at sqrt 8.
+    let grid: Vec<Keyframe> =
+        (0..9).map(|k| at("a", k, f64::from(k % 3), f64::from(k / 3))).collect();
+    check(&options(1.0, 2.0, 10), &grid, [12, 10, 14, 0, 0]);
+    check(&options(1.5, 2.0, 10), &grid, [20, 10, 6, 0, 0]);
+    check(&options(2.0, 2.0, 10), &grid, [26, 10, 0, 0, 0]);
+    check(&options(1f64.next_up(), 2f64.next_down(), 10), &grid, [12, 16, 8, 0, 0]);
+}
+
+#[test]
+fn the_radius_is_near_and_the_least_negative_distance_is_not_yet_far() {
+    let far = 50f64.next_up();
+    check(&options(1.5, 50.0, 1), &line(&[0.0, 1.5, far]), [1, 1, 1, 0, 0]);
+    // 0-50 is ambiguous; 0-`far` is negative.
+    check(&options(1.5, 50.0, 1), &line(&[0.0, 50.0, far]), [1, 1, 1, 0, 0]);
+    let beyond = 1.5f64.next_up();
+    let few = label(&options(1.5, 50.0, 1), 7, &line(&[0.0, beyond, 60.0]));
+    assert!(matches!(few, Err(LabelError::TooFew { class: "positive", found: 0, .. })));
+    let few = label(&options(1.5, 50.0, 1), 7, &line(&[0.0, 1.0, 50.0]));
+    assert!(matches!(few, Err(LabelError::TooFew { class: "negative", found: 0, .. })));
+}
+
+#[test]
+fn headings_count_only_for_scans_of_less_than_a_full_circle() {
+    // Headings of three scans at one place, 45, 46 and 91 deg apart; a fourth scan is far.
+    let scans = |coverages_deg: [f32; 3]| {
+        let mut keyframes = line(&[0.0, 0.0, 0.0, 60.0]);
+        for (k, heading_deg) in [0.0, 45.0f64, -46.0].into_iter().enumerate() {
+            keyframes[k].pose.heading_rad = heading_deg.to_radians();
+            keyframes[k].coverage_deg = coverages_deg[k];
+        }
+        keyframes
+    };
+    let within = |positive_heading_deg| Options { positive_heading_deg, ..options(1.5, 50.0, 1) };
+    check(&within(45.0), &scans([270.0; 3]), [1, 3, 2, 0, 0]);
+    check(&within(90.0), &scans([270.0; 3]), [2, 3, 1, 0, 0]);
+    check(&within(180.0), &scans([270.0; 3]), [3, 3, 0, 0, 0]);
+    check(&within(45.0), &scans([355.0; 3]), [3, 3, 0, 0, 0]);
+    check(&within(45.0), &scans([354.9; 3]), [1, 3, 2, 0, 0]);
+    // One of the two scans is enough: only the pair of rings, 0 and -46 deg, gains.
+    check(&within(45.0), &scans([360.0, 270.0, 360.0]), [2, 3, 1, 0, 0]);
+}
+
+#[test]
+fn headings_wrap_at_a_full_turn() {
+    let mut keyframes = line(&[0.0, 0.0, 60.0]);
+    for (keyframe, heading_deg) in keyframes.iter_mut().zip([350.0f64, 10.0, 0.0]) {
+        keyframe.pose.heading_rad = heading_deg.to_radians();
+        keyframe.coverage_deg = 180.0;
+    }
+    let narrow = Options { positive_heading_deg: 20.5, ..options(1.5, 50.0, 1) };
+    let pairs = check(&narrow, &keyframes, [1, 2, 0, 0, 0]);
+    let difference_rad = pairs[0].heading_difference_rad.unwrap();
+    assert!((difference_rad - PI / 9.0).abs() < 1e-12, "{difference_rad}");
+}
+
+#[test]
+fn a_travel_gap_is_asked_of_one_log_and_never_across_logs() {
+    // Out 1 m and 60 m, then back at the start after 120 m of path.
+    let mut keyframes = line(&[0.0, 1.0, 60.0, 0.0]);
+    for (keyframe, travel_m) in keyframes.iter_mut().zip([0.0, 1.0, 60.0, 120.0]) {
+        keyframe.travel_m = travel_m;
+    }
+    let gap = |min_travel_gap_m| Options { min_travel_gap_m, ..options(1.5, 50.0, 1) };
+    check(&gap(0.0), &keyframes, [3, 3, 0, 0, 0]);
+    check(&gap(1.0), &keyframes, [3, 3, 0, 0, 0]);
+    check(&gap(5.0), &keyframes, [2, 3, 0, 1, 0]);
+    check(&gap(119.0), &keyframes, [2, 3, 0, 1, 0]);
+    check(&gap(119.5), &keyframes, [1, 3, 0, 2, 0]);
+
+    // Another log of the site passes the start after no path at all: near to three scans.
+    keyframes.push(Keyframe { site: "a".into(), ..at("b", 0, 0.0, 0.0) });
+    let pairs = check(&Options { pairs_per_class: 4, ..gap(119.5) }, &keyframes, [4, 4, 0, 2, 0]);
+    let across: Vec<_> = pairs.iter().filter(|p| p.query == 4).collect();
+    assert_eq!(across.len(), 4);
+    assert!(across.iter().all(|p| p.travel_gap_m == f64::INFINITY && p.distance_m.is_finite()));
+}
+
+#[test]
+fn only_logs_of_one_site_pair_up() {
+    // `a` passes 0 m and 60 m, `b` of the same site passes 0 m, `c` of another site too.
+    let mut keyframes = line(&[0.0, 60.0]);
+    keyframes.push(Keyframe { site: "a".into(), ..at("b", 0, 0.0, 0.0) });
+    keyframes.push(at("c", 0, 0.0, 0.0));
+    let pairs = check(&options(1.5, 50.0, 1), &keyframes, [1, 2, 0, 0, 3]);
+    assert!(pairs.iter().all(|p| p.query != 3));
+
+    let across = Options { cross_site_negatives: true, ..options(1.5, 50.0, 1) };
+    check(&across, &keyframes, [1, 5, 0, 0, 0]);
+    // All three negative pairs are drawn, each of `a` and `c`; no frame, hence no angle.
+    let keyframes =
+        [at("a", 0, 0.0, 0.0), at("c", 0, 0.0, 0.0), at("c", 1, 0.5, 0.0), at("c", 2, 1.0, 0.0)];
+    let pairs = check(&Options { pairs_per_class: 3, ..across }, &keyframes, [3, 3, 0, 0, 0]);
+    for pair in &pairs {
+        let is_across = pair.reference == 0;
+        assert_eq!(pair.label == Label::Negative, is_across);
+        assert_eq!(pair.distance_m == f64::INFINITY, is_across);
+        assert_eq!(pair.travel_gap_m == f64::INFINITY, is_across);
+        assert_eq!(pair.heading_difference_rad, (!is_across).then_some(0.0));
+    }
+}
+
+#[test]
+fn the_draw_has_the_size_asked_for_and_no_pair_twice() {
+    let keyframes = three_logs();
+    for pairs_per_class in [1, 10, 200] {
+        let (pairs, _) = label(&options(1.5, 5.0, pairs_per_class), 7, &keyframes).unwrap();
+        for class in [Label::Positive, Label::Negative] {
+            assert_eq!(pairs.iter().filter(|p| p.label == class).count(), pairs_per_class);
+        }
+        assert!(pairs.iter().all(|p| p.reference < p.query && p.query < keyframes.len()));
+        let order = |p: &Pair| (p.query, p.reference);
+        assert!(pairs.windows(2).all(|two| order(&two[0]) < order(&two[1])), "ordered, unique");
+        for pair in &pairs {
+            let (a, b) = (&keyframes[pair.query].pose, &keyframes[pair.reference].pose);
+            assert_eq!(pair.distance_m, (a.x_m - b.x_m).hypot(a.y_m - b.y_m));
+            assert_eq!(pair.label == Label::Positive, pair.distance_m <= 1.5);
+            assert_eq!(pair.label == Label::Negative, 5.0 < pair.distance_m);
+        }
+    }
+}
+
+#[test]
+fn too_few_pairs_say_how_many_there_are_and_what_to_change() {
+    let keyframes = line(&[0.0, 1.0, 2.5, 60.0, 61.0]);
+    let check_message = |options: Options, parts: &[&str]| {
+        let message = label(&options, 7, &keyframes).unwrap_err().to_string();
+        assert!(message.starts_with(parts[0]), "{message}");
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+    };
+    check_message(
+        options(1.5, 50.0, 4),
+        &[
+            "3 positive pairs among 5 keyframes, `label.pairs_per_class` asks for 4",
+            "3 positive, 6 negative, 1 ambiguous, 0 near in path, 0 without a common frame",
+            "raise `label.positive_radius_m`",
+            "lower `label.min_travel_gap_m`",
+            "set `label.pairs_per_class` to 3 or less",
+        ],
+    );
+    // Farther than 60 m are only the first and the last.
+    check_message(
+        options(1.5, 60.0, 2),
+        &[
+            "1 negative pairs among 5 keyframes, `label.pairs_per_class` asks for 2",
+            "lower `label.negative_min_m`",
+            "the same `site`",
+            "set `label.cross_site_negatives`",
+            "set `label.pairs_per_class` to 1 or less",
+        ],
+    );
+    let none = label(&Options::default(), 7, &[]);
+    assert!(matches!(none, Err(LabelError::TooFew { found: 0, n_keyframes: 0, .. })));
+}
+
+#[test]
+fn one_seed_is_one_draw_on_any_number_of_threads() {
+    let keyframes = three_logs();
+    let draw = |threads: usize, seed: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| label(&options(1.5, 5.0, 50), seed, &keyframes).unwrap())
+    };
+    let expected = draw(1, 2436);
+    for threads in [1, 2, 8] {
+        assert!(draw(threads, 2436) == expected, "{threads} threads");
+    }
+    let (other, candidates) = draw(1, 2437);
+    assert_eq!(candidates, expected.1);
+    for class in [Label::Positive, Label::Negative] {
+        let of_class = |pairs: &[Pair]| {
+            pairs.iter().filter(|p| p.label == class).map(|p| (p.query, p.reference)).collect()
+        };
+        let (a, b): (Vec<_>, Vec<_>) = (of_class(&expected.0), of_class(&other));
+        assert!(a != b, "another seed draws another {class:?} set");
+    }
+}
+
+#[test]
+fn the_draw_does_not_depend_on_the_order_of_the_logs() {
+    let options = options(1.5, 5.0, 50);
+    let keyframes = three_logs();
+    let (pairs, candidates) = label(&options, 2436, &keyframes).unwrap();
+    let logs: Vec<&[Keyframe]> = keyframes.chunks(25).collect();
+    for order in [[0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
+        let listed: Vec<Keyframe> = order.iter().flat_map(|&k| logs[k].to_vec()).collect();
+        let (others, counts) = label(&options, 2436, &listed).unwrap();
+        assert_eq!(counts, candidates);
+        assert!(names(&listed, &others) == names(&keyframes, &pairs), "logs in order {order:?}");
+    }
+}
+
+#[test]
+fn every_set_of_pairs_is_as_likely_as_any_other() {
+    // Five scans within reach of each other: 10 positive pairs, 120 sets of three of them. One
+    // scan far from these 5 and one of another site: 5 + 6 negative pairs, 165 sets.
+    let mut keyframes = line(&[0.0, 0.1, 0.2, 0.3, 0.4, 60.0, 120.0]);
+    keyframes[6].site = "elsewhere".into();
+    keyframes[6].id.log = "b".into();
+    let options = Options { cross_site_negatives: true, ..options(1.5, 50.0, 3) };
+    let (_, candidates) = label(&options, 0, &keyframes).unwrap();
+    assert_eq!((candidates.positive, candidates.negative), (10, 11));
+
+    const SEEDS: u64 = 6000;
+    let mut times: BTreeMap<(Label, Vec<(usize, usize)>), u32> = BTreeMap::new();
+    for seed in 0..SEEDS {
+        let (pairs, _) = label(&options, seed, &keyframes).unwrap();
+        for class in [Label::Positive, Label::Negative] {
+            let of_class = pairs.iter().filter(|p| p.label == class);
+            let set = of_class.map(|p| (p.query, p.reference)).collect();
+            *times.entry((class, set)).or_default() += 1;
+        }
+    }
+    // Chi-square with n - 1 degrees of freedom has mean n - 1 and variance 2 (n - 1); four
+    // standard deviations above the mean is rarer than 1 in 2000 here.
+    for (class, n_sets) in [(Label::Positive, 120.0), (Label::Negative, 165.0)] {
+        let expected = SEEDS as f64 / n_sets;
+        let seen: Vec<u32> =
+            times.iter().filter(|((label, _), _)| *label == class).map(|(_, &n)| n).collect();
+        assert_eq!(seen.len() as f64, n_sets, "every set is drawn by some seed");
+        let chi_square: f64 =
+            seen.iter().map(|&n| (f64::from(n) - expected).powi(2) / expected).sum();
+        let limit = (n_sets - 1.0) + 4.0 * (2.0 * (n_sets - 1.0)).sqrt();
+        assert!(chi_square < limit, "{class:?}: chi-square {chi_square}, limit {limit}");
+    }
+}
+
+#[test]
+fn an_option_out_of_range_is_named() {
+    let good = Options::default;
+    assert_eq!(good().check(), Ok(()));
+    let limits = Options {
+        positive_radius_m: 0.0,
+        positive_heading_deg: 0.0,
+        negative_min_m: 0.0,
+        pairs_per_class: 1,
+        ..good()
+    };
+    assert_eq!(limits.check(), Ok(()));
+    let check_refused = |options: Options, name: &str| {
+        let refused = options.check().unwrap_err();
+        assert!(matches!(refused, LabelError::Option { key, .. } if key == name), "{refused}");
+        assert!(refused.to_string().starts_with(&format!("`label.{name}` is ")), "{refused}");
+        assert_eq!(label(&options, 7, &[]).unwrap_err().to_string(), refused.to_string());
+    };
+    for value in [-0.1, f64::NAN, f64::INFINITY] {
+        check_refused(Options { positive_radius_m: value, ..good() }, "positive_radius_m");
+        check_refused(Options { positive_heading_deg: value, ..good() }, "positive_heading_deg");
+        check_refused(Options { negative_min_m: value, ..good() }, "negative_min_m");
+        check_refused(Options { min_travel_gap_m: value, ..good() }, "min_travel_gap_m");
+    }
+    check_refused(Options { positive_heading_deg: 180.1, ..good() }, "positive_heading_deg");
+    check_refused(Options { negative_min_m: 1.4, ..good() }, "negative_min_m");
+    check_refused(Options { pairs_per_class: 0, ..good() }, "pairs_per_class");
+}
+
+/// The first pairs of a draw: so many positive, so many negative.
+fn some_pairs(keyframes: &[Keyframe], n_positive: usize, n_negative: usize) -> Vec<Pair> {
+    let (pairs, _) = label(&options(1.5, 5.0, 50), 2436, keyframes).unwrap();
+    let first = |class, n| pairs.iter().filter(move |p| p.label == class).take(n).copied();
+    first(Label::Positive, n_positive).chain(first(Label::Negative, n_negative)).collect()
+}
+
+#[test]
+fn each_class_is_dealt_evenly() {
+    let keyframes = three_logs();
+    for (n_folds, n_positive, n_negative) in [(2, 2, 3), (5, 23, 50), (7, 49, 8), (10, 50, 50)] {
+        let pairs = some_pairs(&keyframes, n_positive, n_negative);
+        let dealt = folds(Grouping::Pair, n_folds, 7, &keyframes, &pairs).unwrap();
+        assert_eq!(dealt.len(), pairs.len(), "one fold for every pair");
+        assert!(dealt.iter().all(|&fold| fold < n_folds));
+        for (class, n) in [(Label::Positive, n_positive), (Label::Negative, n_negative)] {
+            for fold in 0..n_folds {
+                let here = |(p, f): &(&Pair, &u32)| p.label == class && **f == fold;
+                let size = pairs.iter().zip(&dealt).filter(here).count();
+                let even = n / n_folds as usize;
+                assert!(size == even || size == even + 1, "{class:?}, fold {fold}: {size} of {n}");
+            }
+        }
+    }
+}
+
+#[test]
+fn folds_follow_the_seed_and_the_scans_and_not_the_order_of_pairs() {
+    let keyframes = three_logs();
+    let pairs = some_pairs(&keyframes, 50, 50);
+    let dealt = |seed, keyframes: &[Keyframe], pairs: &[Pair]| {
+        folds(Grouping::Pair, 10, seed, keyframes, pairs).unwrap()
+    };
+    let expected = dealt(7, &keyframes, &pairs);
+    assert_eq!(dealt(7, &keyframes, &pairs), expected);
+    assert_ne!(dealt(8, &keyframes, &pairs), expected);
+
+    // The pairs backwards: each keeps its fold.
+    let backwards: Vec<Pair> = pairs.iter().rev().copied().collect();
+    assert!(dealt(7, &keyframes, &backwards).iter().eq(expected.iter().rev()));
+
+    // The keyframes backwards too, which turns every pair round.
+    let turned_keyframes: Vec<Keyframe> = keyframes.iter().rev().cloned().collect();
+    let last = keyframes.len() - 1;
+    let turn = |p: &Pair| Pair { query: last - p.reference, reference: last - p.query, ..*p };
+    let turned: Vec<Pair> = pairs.iter().map(turn).collect();
+    assert_eq!(dealt(7, &turned_keyframes, &turned), expected);
+}
+
+#[test]
+fn too_few_folds_or_too_few_pairs_for_them_are_refused() {
+    let keyframes = three_logs();
+    let message = |n_folds, n_positive, n_negative| {
+        let pairs = some_pairs(&keyframes, n_positive, n_negative);
+        folds(Grouping::Pair, n_folds, 7, &keyframes, &pairs).unwrap_err()
+    };
+    for n_folds in [0, 1] {
+        let refused = message(n_folds, 20, 20).to_string();
+        assert!(refused.contains(&format!("folds` is {n_folds}, expected 2 or more")), "{refused}");
+    }
+    let positive = LabelError::TooFewForFolds { folds: 5, class: "positive", found: 4 };
+    assert_eq!(message(5, 4, 20), positive);
+    let negative = LabelError::TooFewForFolds { folds: 5, class: "negative", found: 0 };
+    assert_eq!(message(5, 5, 0), negative);
+    let text = negative.to_string();
+    assert!(text.contains("at least 5 pairs of each class, there are 0 negative"), "{text}");
+    assert!(text.contains("lower `evaluate.folds`"), "{text}");
+}

@@ -1,0 +1,240 @@
+//! What goes wrong is named, with what to do, and has its exit code.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Cursor;
+use std::sync::Arc;
+
+use messages::ros::{self, Encoding, LaserScan, StampedPose3};
+
+use crate::support::{Workplace, loopboost};
+
+/// A small log: `n` planar scans on `/scan` and as many poses on `/pose`, half a metre apart.
+fn log(n: i64) -> Vec<u8> {
+    let mut writer =
+        mcap::WriteOptions::new().chunk_size(Some(4000)).create(Cursor::new(Vec::new())).unwrap();
+    let channel = |id: u16, topic: &str, schema: &str| {
+        Arc::new(mcap::Channel {
+            id,
+            topic: topic.to_owned(),
+            schema: Some(Arc::new(mcap::Schema {
+                id,
+                name: schema.to_owned(),
+                encoding: "ros2msg".into(),
+                data: Cow::Borrowed(b""),
+            })),
+            message_encoding: "cdr".into(),
+            metadata: BTreeMap::new(),
+        })
+    };
+    let scans = channel(1, "/scan", "sensor_msgs/msg/LaserScan");
+    let poses = channel(2, "/pose", "geometry_msgs/msg/PoseStamped");
+    for k in 0..n {
+        let stamp_ns = k * 100_000_000;
+        let scan = LaserScan {
+            stamp_ns,
+            angle_min: -1.5,
+            angle_increment: 0.03,
+            range_min: 0.1,
+            range_max: 50.0,
+            ranges: (0..100).map(|beam| 2.0 + ((k * 7 + beam * beam) % 13) as f32).collect(),
+        };
+        let pose = StampedPose3 {
+            stamp_ns,
+            position: [0.5 * k as f64, 0.0, 0.0],
+            orientation: [0.0, 0.0, 0.0, 1.0],
+        };
+        for (channel, data) in [
+            (&scans, ros::write_laser_scan(Encoding::Cdr, "laser", &scan)),
+            (&poses, ros::write_pose_stamped(Encoding::Cdr, "map", &pose)),
+        ] {
+            let message = mcap::Message {
+                channel: channel.clone(),
+                sequence: k as u32,
+                log_time: stamp_ns as u64,
+                publish_time: stamp_ns as u64,
+                data: Cow::Owned(data),
+            };
+            writer.write(&message).unwrap();
+        }
+    }
+    writer.finish().unwrap();
+    writer.into_inner().into_inner()
+}
+
+const PIPELINE: &str = r#"
+[ingest]
+logs = ["a.mcap"]
+lidar = { topic = "/scan", range_min_m = 0.1 }
+pose.topic = "/pose"
+
+[label]
+pairs_per_class = 100
+"#;
+
+fn workplace(pipeline: &str) -> Workplace {
+    let workplace = Workplace::new(pipeline);
+    fs::write(workplace.path("a.mcap"), log(200)).unwrap();
+    workplace
+}
+
+#[test]
+fn the_small_log_itself_is_good() {
+    workplace(PIPELINE).command("run", "out", &[]).expect(0);
+}
+
+#[test]
+fn usage_errors_exit_2() {
+    loopboost(&["walk"]).expect(2).says(&["unrecognized subcommand"]);
+    loopboost(&["run", "no.toml", "--out", "x"])
+        .expect(2)
+        .says(&["cannot read the pipeline file no.toml"]);
+    workplace("[label]\npositive_radius = 2\n").command("run", "out", &[]).expect(2).says(&[
+        "drive.toml",
+        "unknown field `positive_radius`",
+        "did you mean `positive_radius_m`?",
+    ]);
+    workplace(PIPELINE)
+        .command("run", "out", &["--set", "subsample.spacing_m=0"])
+        .expect(2)
+        .says(&["`subsample.spacing_m` is 0, expected more than 0"]);
+    workplace("name = [\n").command("run", "out", &[]).expect(2).says(&["drive.toml", "line 1"]);
+}
+
+#[test]
+fn a_wrong_topic_or_schema_fails() {
+    workplace(PIPELINE)
+        .command("ingest", "out", &["--set", "ingest.lidar.topic=/laser"])
+        .expect(1)
+        .says(&[
+            "a.mcap has no topic `/laser`",
+            "`ingest.lidar.topic`",
+            "`/scan` (sensor_msgs/msg/LaserScan, cdr)",
+        ]);
+    workplace(PIPELINE)
+        .command("ingest", "out", &["--set", "ingest.lidar.topic=/pose"])
+        .expect(1)
+        .says(&[
+            "`/pose` holds `geometry_msgs/msg/PoseStamped, cdr`",
+            "expected `VelodyneScan` or `LaserScan`",
+        ]);
+    workplace(PIPELINE)
+        .command("ingest", "out", &["--set", "ingest.pose.topic=/odom"])
+        .expect(1)
+        .says(&["a.mcap has no topic `/odom`", "`ingest.pose.topic`", "`/pose`"]);
+}
+
+#[test]
+fn no_poses_is_an_error_where_poses_are_needed() {
+    let workplace = workplace(&PIPELINE.replace("pose.topic = \"/pose\"", ""));
+    workplace.command("ingest", "out", &[]).expect(0);
+    workplace
+        .command("subsample", "out", &[])
+        .expect(1)
+        .says(&["log `a` has no poses", "set `ingest.pose.topic`"]);
+}
+
+#[test]
+fn a_truncated_log_keeps_what_it_holds_and_exits_3() {
+    let workplace = workplace(PIPELINE);
+    let whole = log(200);
+    fs::write(workplace.path("a.mcap"), &whole[..whole.len() * 3 / 4]).unwrap();
+    let finished =
+        workplace.command("run", "out", &["--set", "label.pairs_per_class=20"]).expect(3);
+    assert!(
+        finished.stdout.contains("ingest     a: 1"),
+        "more than 99 scans:\n{}",
+        finished.stdout
+    );
+    finished
+        .says(&["warning: some data could not be used", "1 ends of the log cut off (no footer"]);
+    // The report says so too.
+    let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
+    assert!(report.contains("1 ends of the log cut off"));
+}
+
+#[test]
+fn what_is_no_log_fails() {
+    let workplace = workplace(PIPELINE);
+    fs::write(workplace.path("a.mcap"), b"#ROSBAG V2.0\n").unwrap();
+    workplace.command("run", "out", &[]).expect(1).says(&[
+        "a.mcap is no MCAP log",
+        "23 52 4f 53",
+        "convert",
+    ]);
+    assert!(!workplace.path("out").join("scans").join("a.parquet").exists());
+    fs::remove_file(workplace.path("a.mcap")).unwrap();
+    workplace
+        .command("run", "out", &[])
+        .expect(1)
+        .says(&["nothing matches `a.mcap`", "relative to the pipeline file"]);
+}
+
+#[test]
+fn too_few_pairs_says_how_many_there_are() {
+    // 200 keyframes half a metre apart: the 99 x 100 / 2 pairs at least 101 steps apart are
+    // farther than 50 m; 199 + 198 + 197 are within 1.5 m.
+    workplace(PIPELINE)
+        .command("run", "out", &["--set", "label.pairs_per_class=1218"])
+        .expect(1)
+        .says(&[
+            "594 positive pairs among 200 keyframes",
+            "asks for 1218",
+            "4950 negative",
+            "to 594 or less",
+        ]);
+}
+
+#[test]
+fn a_stage_without_its_input_names_the_command_that_makes_it() {
+    let workplace = workplace(PIPELINE);
+    for (stage, before) in [
+        ("subsample", "ingest"),
+        ("label", "subsample"),
+        ("featurize", "subsample"),
+        ("train", "subsample"),
+        ("evaluate", "subsample"),
+    ] {
+        workplace
+            .command(stage, "out", &[])
+            .expect(1)
+            .says(&["is missing", &format!("loopboost {before} PIPELINE.toml --out DIR")]);
+    }
+}
+
+#[test]
+fn tables_of_another_run_are_not_mixed() {
+    let workplace = workplace(PIPELINE);
+    workplace.command("run", "out", &[]).expect(0);
+    workplace.command("subsample", "out", &["--set", "subsample.spacing_m=1"]).expect(0);
+    workplace.command("train", "out", &[]).expect(1).says(&["is no keyframe", "loopboost label"]);
+    workplace.command("label", "out", &["--set", "label.pairs_per_class=40"]).expect(0);
+    workplace
+        .command("train", "out", &[])
+        .expect(1)
+        .says(&["features.parquet is not of these keyframes", "loopboost featurize"]);
+}
+
+#[test]
+fn two_logs_of_one_name_and_strays_are_refused() {
+    let workplace = workplace(&PIPELINE.replace("[\"a.mcap\"]", "[\"a.mcap\", \"b\"]"));
+    fs::create_dir(workplace.path("b")).unwrap();
+    fs::write(workplace.path("b/a.mcap"), log(5)).unwrap();
+    workplace
+        .command("ingest", "out", &[])
+        .expect(1)
+        .says(&["two logs are named `a`", "rename one"]);
+    let stray = format!("{PIPELINE}\n[ingest.log.c]\nsite = \"x\"\n");
+    self::workplace(&stray)
+        .command("ingest", "out", &[])
+        .expect(1)
+        .says(&["[ingest.log.c]", "no log of this run"]);
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_named() {
+    let workplace = workplace(PIPELINE);
+    fs::write(workplace.path("out"), b"a file").unwrap();
+    workplace.command("ingest", "out", &[]).expect(1).says(&["cannot create folder", "out"]);
+}

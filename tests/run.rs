@@ -1,0 +1,204 @@
+//! The whole pipeline on logs that the program makes itself.
+
+use std::collections::BTreeSet;
+
+use dataset::Label;
+use dataset::tables::{read_features, read_keyframes, read_pairs, read_poses};
+
+use crate::support::{Workplace, root};
+
+const PIPELINE: &str = r#"
+name = "drive"
+seed = 7
+
+[simulate]
+logs = ["there", "back"]
+length_m = 160.0
+people = 3
+
+[ingest]
+site = "building"
+pose.topic = "/ground_truth"
+
+[label]
+pairs_per_class = 150
+
+[train]
+rounds = 20
+"#;
+
+const STAGES: [&str; 7] =
+    ["simulate", "ingest", "subsample", "label", "featurize", "train", "evaluate"];
+
+#[test]
+fn same_bytes_for_every_thread_count_stage_by_stage_and_other_bytes_for_another_seed() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command_with_threads("run", "one", &[], 1).expect(0);
+    let expected = workplace.files("one");
+    for name in [
+        "logs/there.mcap",
+        "scans/there.parquet",
+        "poses/back.parquet",
+        "keyframes.parquet",
+        "pairs.parquet",
+        "features.parquet",
+        "scores.parquet",
+        "rounds.parquet",
+        "models/drive-discrete/1.0.0/model.json",
+        "models/drive-gentle_line/1.0.0/model.json",
+        "models/drive-gentle_stump/1.0.0/model.json",
+        "evaluation/errors.parquet",
+        "evaluation/precision_recall.parquet",
+        "evaluation/selection.parquet",
+        "evaluation/mistakes.parquet",
+        "report.html",
+    ] {
+        assert!(expected.contains_key(name), "{name} is missing");
+    }
+    let same = |out: &str| {
+        let found = workplace.files(out);
+        assert_eq!(expected.keys().collect::<Vec<_>>(), found.keys().collect::<Vec<_>>());
+        for (name, bytes) in &expected {
+            assert!(found[name] == *bytes, "{name} of `{out}` has other bytes");
+        }
+    };
+    workplace.command_with_threads("run", "two", &[], 2).expect(0);
+    same("two");
+    for stage in STAGES {
+        workplace.command(stage, "by-stage", &[]).expect(0);
+    }
+    same("by-stage");
+    // Into the same folder again: nothing changes, no model version is added.
+    let again = workplace.command("run", "two", &[]).expect(0);
+    assert!(again.stdout.contains("drive-discrete 1.0.0 (unchanged)"), "{}", again.stdout);
+    same("two");
+
+    workplace.command("run", "other", &["--set", "seed=8"]).expect(0);
+    let other = workplace.files("other");
+    for name in [
+        "logs/there.mcap",
+        "pairs.parquet",
+        "models/drive-discrete/1.0.0/model.json",
+        "report.html",
+    ] {
+        assert!(other[name] != expected[name], "{name} does not depend on the seed");
+    }
+}
+
+#[test]
+fn pairs_obey_the_label_rules() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "out", &["--set", "label.min_travel_gap_m=5"]).expect(0);
+    let out = |name: &str| workplace.path("out").join(name);
+    let (keyframes, _) = read_keyframes(&out("keyframes.parquet")).unwrap();
+    let (pairs, provenance) = read_pairs(&out("pairs.parquet"), &keyframes).unwrap();
+    assert_eq!(provenance.options["min_travel_gap_m"], 5.0);
+    assert_eq!(provenance.inputs.keys().collect::<Vec<_>>(), ["keyframes.parquet"]);
+    let count = |label| pairs.iter().filter(|pair| pair.label == label).count();
+    assert_eq!((count(Label::Positive), count(Label::Negative)), (150, 150));
+    let unique: BTreeSet<_> = pairs.iter().map(|pair| (pair.query, pair.reference)).collect();
+    assert_eq!(unique.len(), 300);
+
+    // Positions straight from the poses, not from the keyframes.
+    let trajectories = ["there", "back"]
+        .map(|log| (log, read_poses(&out(&format!("poses/{log}.parquet"))).unwrap().0));
+    let position = |k: usize| {
+        let keyframe = &keyframes[k];
+        let (_, trajectory) =
+            trajectories.iter().find(|(log, _)| *log == &*keyframe.id.log).unwrap();
+        trajectory.pose_at(keyframe.stamp_ns, i64::MAX).unwrap()
+    };
+    for pair in &pairs {
+        assert!(pair.reference < pair.query);
+        let distance_m = position(pair.query).distance_m(&position(pair.reference));
+        assert!((distance_m - pair.distance_m).abs() < 1e-9);
+        match pair.label {
+            Label::Positive => {
+                assert!(distance_m <= 1.5);
+                let (a, b) = (&keyframes[pair.query], &keyframes[pair.reference]);
+                assert!(a.id.log != b.id.log || 5.0 <= (a.travel_m - b.travel_m).abs());
+            }
+            Label::Negative => assert!(50.0 < distance_m),
+        }
+    }
+    for of_log in keyframes.chunk_by(|a, b| a.id.log == b.id.log) {
+        for step in of_log.windows(2) {
+            let moved_m = step[0].pose.distance_m(&step[1].pose);
+            assert!((0.5..0.75).contains(&moved_m), "{moved_m}");
+            assert!((step[1].travel_m - step[0].travel_m - moved_m).abs() < 1e-9);
+        }
+    }
+    let (features, _) = read_features(&out("features.parquet")).unwrap();
+    assert_eq!((features.names.len(), features.ids.len()), (16, keyframes.len()));
+    assert!(features.values.iter().all(|value| value.is_finite()));
+}
+
+#[test]
+fn results_go_to_stdout_and_nothing_else_does() {
+    let workplace = Workplace::new(PIPELINE);
+    let finished = workplace.command("run", "out", &[]).expect(0);
+    assert_eq!(finished.stderr, "", "progress is for terminals");
+    for stage in STAGES {
+        assert!(finished.stdout.lines().any(|line| line.starts_with(stage)), "{stage}");
+    }
+    let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
+    for part in
+        ["id=\"error-curve\"", "id=\"precision-recall\"", "Features chosen", "Map of site building"]
+    {
+        assert!(report.contains(part), "{part}");
+    }
+    // It opens offline and carries no script.
+    for part in ["http://", "https://", "<script", "src=", "@import", "url("] {
+        assert!(!report.contains(part), "{part}");
+    }
+}
+
+#[test]
+fn the_printed_configuration_runs_like_the_file() {
+    let workplace = Workplace::new(PIPELINE);
+    let pipeline = workplace.path("drive.toml");
+    let printed =
+        crate::support::loopboost(&["run", pipeline.to_str().unwrap(), "--print-config"]).expect(0);
+    for default in ["spacing_m = 0.5", "positive_radius_m = 1.5", "gate_m = 2.5", "folds = 10"] {
+        assert!(printed.stdout.contains(default), "{default}:\n{}", printed.stdout);
+    }
+    workplace.command("simulate", "a", &[]).expect(0);
+    std::fs::write(&pipeline, &printed.stdout).unwrap();
+    workplace.command("simulate", "b", &[]).expect(0);
+    assert_eq!(workplace.files("a"), workplace.files("b"));
+}
+
+#[test]
+fn every_pipeline_of_the_repository_is_understood() {
+    let mut n = 0;
+    for entry in std::fs::read_dir(root().join("pipelines")).unwrap() {
+        let path = entry.unwrap().path();
+        crate::support::loopboost(&["run", path.to_str().unwrap(), "--print-config"]).expect(0);
+        n += 1;
+    }
+    assert!(n >= 3);
+}
+
+#[test]
+fn inspect_tells_topics_and_a_pipeline_that_works() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("simulate", "out", &[]).expect(0);
+    let log = workplace.path("out/logs/there.mcap");
+    let told = crate::support::loopboost(&["inspect", log.to_str().unwrap()]).expect(0);
+    assert!(told.stdout.contains("/velodyne_packets"), "{}", told.stdout);
+    let (_, fitting) = told.stdout.split_once("a pipeline that would fit:\n").unwrap();
+    std::fs::write(workplace.path("drive.toml"), fitting).unwrap();
+    workplace.command("ingest", "again", &[]).expect(0);
+    workplace.command("subsample", "again", &[]).expect(0);
+}
+
+/// The committed logs are what their pipeline files make, on this machine too.
+#[test]
+fn fixtures_are_made_as_they_say() {
+    let workplace = Workplace::new("");
+    let (pipeline, out) = (root().join("fixtures/corridor.toml"), workplace.path("out"));
+    let args = ["simulate", pipeline.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    crate::support::loopboost(&args).expect(0);
+    let committed = std::fs::read(root().join("fixtures/corridor.mcap")).unwrap();
+    assert!(workplace.files("out")["logs/corridor.mcap"] == committed);
+}

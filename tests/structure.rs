@@ -1,0 +1,124 @@
+//! The crate graph and the README's map of it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::process::Command;
+
+use crate::support::root;
+
+/// Crates of the workspace and what each uses of the others, tests apart.
+fn graph() -> BTreeMap<String, BTreeSet<String>> {
+    let mut graph = BTreeMap::new();
+    let mut external = BTreeMap::new();
+    for entry in fs::read_dir(root().join("crates")).unwrap() {
+        let folder = entry.unwrap().path();
+        let manifest: toml::Table =
+            fs::read_to_string(folder.join("Cargo.toml")).unwrap().parse().unwrap();
+        let name = manifest["package"]["name"].as_str().unwrap().to_owned();
+        assert_eq!(name, folder.file_name().unwrap().to_str().unwrap());
+        let used: BTreeSet<String> = match &manifest["dependencies"] {
+            toml::Value::Table(table) => table.keys().cloned().collect(),
+            _ => BTreeSet::new(),
+        };
+        external.insert(name.clone(), used.clone());
+        graph.insert(name, used);
+    }
+    let names: BTreeSet<String> = graph.keys().cloned().collect();
+    graph
+        .into_iter()
+        .map(|(name, used)| (name, used.intersection(&names).cloned().collect()))
+        .collect()
+}
+
+#[test]
+fn a_stage_depends_on_nouns_and_on_no_other_stage() {
+    let graph = graph();
+    let nouns: BTreeSet<&str> = ["dataset", "model", "messages"].into();
+    for (name, used) in &graph {
+        if name == "loopboost" {
+            continue;
+        }
+        for other in used {
+            assert!(nouns.contains(other.as_str()), "`{name}` depends on the stage `{other}`");
+        }
+    }
+    for noun in nouns {
+        assert!(graph[noun].is_empty(), "`{noun}` depends on {:?}", graph[noun]);
+    }
+    assert!(!graph["evaluate"].contains("model"), "evaluate sees scores, never models");
+    for (name, used) in &graph {
+        let knows_messages = used.contains("messages");
+        assert!(!knows_messages || ["ingest", "simulate"].contains(&name.as_str()), "{name}");
+    }
+}
+
+#[test]
+fn only_ingest_and_simulate_know_mcap() {
+    for entry in fs::read_dir(root().join("crates")).unwrap() {
+        let folder = entry.unwrap().path();
+        let manifest: toml::Table =
+            fs::read_to_string(folder.join("Cargo.toml")).unwrap().parse().unwrap();
+        let name = folder.file_name().unwrap().to_str().unwrap().to_owned();
+        let uses = |other: &str| manifest["dependencies"].get(other).is_some();
+        assert_eq!(uses("mcap"), ["ingest", "simulate"].contains(&name.as_str()), "{name}");
+        assert_eq!(uses("clap"), name == "loopboost", "{name}");
+    }
+}
+
+/// What runs on a robot needs neither Arrow nor Parquet nor MCAP.
+#[test]
+fn the_robot_side_is_small() {
+    for package in ["featurize", "model"] {
+        let output = Command::new(env!("CARGO"))
+            .args([
+                "tree",
+                "--offline",
+                "--edges",
+                "normal",
+                "--prefix",
+                "none",
+                "--package",
+                package,
+            ])
+            .current_dir(root())
+            .output()
+            .unwrap();
+        let tree = String::from_utf8(output.stdout).unwrap();
+        assert!(output.status.success() && tree.starts_with(package), "{tree}");
+        for heavy in ["arrow", "parquet", "mcap", "zstd", "rayon"] {
+            assert!(!tree.contains(heavy), "`{package}` needs `{heavy}`:\n{tree}");
+        }
+    }
+}
+
+#[test]
+fn the_readme_maps_every_crate_and_folder() {
+    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    for name in graph().keys() {
+        assert!(readme.contains(&format!("crates/{name} ")), "README does not map crates/{name}");
+    }
+    for line in readme.lines().filter(|line| line.starts_with("crates/")) {
+        let path = line.split_whitespace().next().unwrap();
+        assert!(root().join(path).is_dir(), "README maps {path}, which is not there");
+    }
+    for path in ["pipelines/", "tests/", "fixtures/"] {
+        assert!(readme.contains(path) && root().join(path).is_dir(), "{path}");
+    }
+}
+
+#[test]
+fn the_readme_and_ci_say_the_same_commands() {
+    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    let ci = fs::read_to_string(root().join(".ci/run")).unwrap();
+    let commands: Vec<&str> = readme
+        .lines()
+        .filter(|line| line.starts_with("cargo run ") || line.starts_with("cargo test "))
+        .collect();
+    assert_eq!(commands.len(), 2, "one runs the quickstart, one runs the tests: {commands:?}");
+    for command in commands {
+        assert!(
+            ci.lines().any(|line| line.trim() == command),
+            "`.ci/run` does not run `{command}`"
+        );
+    }
+}

@@ -1,0 +1,120 @@
+//! What the whole-program tests share.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// The root of the repository.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// A folder of logs that are not the repository's: `LOOPBOOST_DATA`, or `../shared/data`. None,
+/// and a word on stdout, where it is absent.
+pub fn shared_data() -> Option<PathBuf> {
+    let folder = std::env::var_os("LOOPBOOST_DATA")
+        .map_or_else(|| root().join("../shared/data"), PathBuf::from);
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    println!("skipped: no shared data");
+    None
+}
+
+/// A finished run of the program.
+pub struct Finished {
+    pub code: i32,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+/// Runs the program.
+pub fn loopboost(args: &[&str]) -> Finished {
+    loopboost_with_threads(args, 2)
+}
+
+/// Runs the program with so many threads.
+pub fn loopboost_with_threads(args: &[&str], threads: usize) -> Finished {
+    let Output { status, stdout, stderr } =
+        Command::new(assert_cmd::cargo::cargo_bin!("loopboost"))
+            .args(args)
+            .env("RAYON_NUM_THREADS", threads.to_string())
+            .output()
+            .expect("the program starts");
+    Finished {
+        code: status.code().expect("the program exits by itself"),
+        stdout: String::from_utf8(stdout).expect("text"),
+        stderr: String::from_utf8(stderr).expect("text"),
+    }
+}
+
+/// A temporary folder with a pipeline file and a run folder to be.
+pub struct Workplace {
+    folder: tempfile::TempDir,
+}
+
+impl Workplace {
+    pub fn new(pipeline: &str) -> Self {
+        let workplace = Self { folder: tempfile::tempdir().expect("a temporary folder") };
+        fs::write(workplace.path("drive.toml"), pipeline).expect("a file");
+        workplace
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// Runs a command of the program on the pipeline, into the run folder `out`.
+    pub fn command(&self, command: &str, out: &str, more: &[&str]) -> Finished {
+        self.command_with_threads(command, out, more, 2)
+    }
+
+    pub fn command_with_threads(
+        &self,
+        command: &str,
+        out: &str,
+        more: &[&str],
+        threads: usize,
+    ) -> Finished {
+        let (pipeline, out) = (self.path("drive.toml"), self.path(out));
+        let mut args = vec![command, pipeline.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        args.extend(more);
+        loopboost_with_threads(&args, threads)
+    }
+
+    /// Every file of a run folder, by name.
+    pub fn files(&self, out: &str) -> BTreeMap<String, Vec<u8>> {
+        let mut files = BTreeMap::new();
+        let mut folders = vec![self.path(out)];
+        while let Some(folder) = folders.pop() {
+            for entry in fs::read_dir(folder).expect("a folder") {
+                let path = entry.expect("an entry").path();
+                if path.is_dir() {
+                    folders.push(path);
+                } else {
+                    let name = path.strip_prefix(self.path(out)).expect("within");
+                    let bytes = fs::read(&path).expect("readable");
+                    files.insert(name.to_str().expect("text").to_owned(), bytes);
+                }
+            }
+        }
+        files
+    }
+}
+
+impl Finished {
+    /// Checks the exit code, showing stderr where it is another.
+    pub fn expect(self, code: i32) -> Self {
+        assert_eq!(self.code, code, "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
+        self
+    }
+
+    /// Checks that stderr contains each text.
+    pub fn says(self, texts: &[&str]) -> Self {
+        for text in texts {
+            assert!(self.stderr.contains(text), "`{text}` is not in:\n{}", self.stderr);
+        }
+        self
+    }
+}
