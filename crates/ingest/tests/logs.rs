@@ -57,8 +57,8 @@ fn packet_log(encoding: Encoding) -> Vec<Entry> {
             let azimuths =
                 std::array::from_fn(|b| ((step * (first_block + b as u32)) % 36_000) as u16);
             let mut packet = PacketBuilder::new(azimuths, (k * 553) as u32);
-            for block in 0..BLOCKS {
-                packet.set_return(block, 15, 1500 + azimuths[block] / 12, 100);
+            for (block, azimuth) in azimuths.iter().enumerate() {
+                packet.set_return(block, 15, 1500 + azimuth / 12, 100);
                 packet.set_return(block, 14, 999, 100);
             }
             ((k + 1) * PACKET_PERIOD_NS, packet.finish())

@@ -26,7 +26,7 @@ enum Command {
     Run(PipelineArgs),
     /// Make the logs of the pipeline's [simulate] section
     Simulate(PipelineArgs),
-    /// Logs -> scans/<log>.parquet, poses/<log>.parquet
+    /// Logs -> scans/LOG.parquet, poses/LOG.parquet
     Ingest(PipelineArgs),
     /// Scans and poses -> keyframes.parquet
     Subsample(PipelineArgs),

@@ -6,7 +6,7 @@ use ingest::{Log, Options};
 
 use crate::run::{LogFile, Run, progress_bar};
 
-/// Logs -> scans/<log>.parquet, poses/<log>.parquet
+/// Logs -> scans/LOG.parquet, poses/LOG.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let mut dropped = Dropped::default();
     for log in run.logs()? {

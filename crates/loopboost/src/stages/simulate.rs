@@ -7,7 +7,7 @@ use dataset::tables::{TableError, write_atomically};
 
 use crate::run::{Run, progress_bar};
 
-/// The campus of `[simulate]` -> logs/<log>.mcap
+/// The campus of `[simulate]` -> logs/LOG.mcap
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let options = run.config.simulate.as_ref().ok_or_else(|| {
         anyhow!("the pipeline has no [simulate] section: add one, or start with `ingest`")
