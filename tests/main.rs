@@ -2,6 +2,7 @@
 
 mod errors;
 mod real_logs;
+mod resume;
 mod run;
 mod structure;
 mod support;

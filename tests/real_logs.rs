@@ -10,7 +10,7 @@ use dataset::tables::scans::read_scans;
 use dataset::tables::{read_keyframes, read_pairs};
 use dataset::{Label, Scan, StampedPose, Trajectory};
 
-use crate::support::{Workplace, loopboost_with_threads, root, shared_data};
+use crate::support::{Workplace, loopboost_with_threads, python_with, root, shared_data};
 
 /// `pipelines/killian.toml`: 1218 + 1218 unique pairs that obey the label rules against the
 /// ground truth in the logs; the same bytes with one thread and with two.
@@ -106,17 +106,7 @@ fn street_in_ros_1_and_ros_2_gives_the_same_turns() {
     assert_eq!(found, [(1335, true), (1350, true)]);
 
     // Every return against `velodyne-decoder`, where it is at hand.
-    let python = std::env::var("LOOPBOOST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has_peer = Command::new(&python)
-        .args(["-c", "import mcap, numpy, pyarrow, velodyne_decoder"])
-        .output()
-        .is_ok_and(|output| output.status.success());
-    if !has_peer {
-        println!(
-            "skipped: no Python with mcap, numpy, pyarrow and velodyne-decoder (LOOPBOOST_PYTHON)"
-        );
-        return;
-    }
+    let Some(python) = python_with("mcap, numpy, pyarrow, velodyne_decoder") else { return };
     let output = Command::new(&python)
         .arg(root().join("tests/peers/street.py"))
         .arg(data.join("logs/hdl32e-street.ros2.mcap"))

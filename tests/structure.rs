@@ -122,3 +122,26 @@ fn the_readme_and_ci_say_the_same_commands() {
         );
     }
 }
+
+/// The committed JSON Schemas are those of the types, and the pipelines satisfy theirs.
+#[test]
+fn the_schemas_are_generated_from_the_types() {
+    for file in ["pipeline", "model"] {
+        let printed = crate::support::loopboost(&["schema", file]).expect(0).stdout;
+        let committed =
+            fs::read_to_string(root().join(format!("docs/schema/{file}.json"))).unwrap();
+        assert!(printed == committed, "`loopboost schema {file} > docs/schema/{file}.json`");
+    }
+    let Some(python) = crate::support::python_with("jsonschema, tomllib") else { return };
+    let script = "import glob, json, jsonschema, sys, tomllib\n\
+        schema = json.load(open(sys.argv[1] + '/docs/schema/pipeline.json'))\n\
+        for path in glob.glob(sys.argv[1] + '/pipelines/*.toml'):\n\
+        \x20   jsonschema.validate(tomllib.load(open(path, 'rb')), schema)\n\
+        try:\n\
+        \x20   jsonschema.validate({'label': {'radius': 2}}, schema)\n\
+        except jsonschema.ValidationError:\n\
+        \x20   sys.exit(0)\n\
+        sys.exit('an unknown key passed')";
+    let output = Command::new(python).args(["-c", script]).arg(root()).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}

@@ -22,6 +22,21 @@ pub fn shared_data() -> Option<PathBuf> {
     None
 }
 
+/// A Python that has these modules: `LOOPBOOST_PYTHON`, or `python3`. None, and a word on stdout,
+/// where it lacks one.
+pub fn python_with(modules: &str) -> Option<String> {
+    let python = std::env::var("LOOPBOOST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let has_them = Command::new(&python)
+        .args(["-c", &format!("import {modules}")])
+        .output()
+        .is_ok_and(|output| output.status.success());
+    if has_them {
+        return Some(python);
+    }
+    println!("skipped: no Python with {modules} (LOOPBOOST_PYTHON)");
+    None
+}
+
 /// A finished run of the program.
 pub struct Finished {
     pub code: i32,

@@ -36,6 +36,9 @@ pub struct Scan {
 /// Why no features can be computed from a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, thiserror::Error)]
 pub enum Unusable {
+    /// A coordinate is NaN or infinite.
+    #[error("a coordinate that is not finite")]
+    NotFinite,
     /// A circle needs three points.
     #[error("fewer than 3 returns")]
     TooFewReturns,
@@ -89,6 +92,9 @@ impl Scan {
         // With eigenvalues a >= b of the scatter matrix: a b = det and a + b = trace, hence
         // b / a is about det / trace^2 where it is small.
         let (det, trace) = (sxx * syy - sxy * sxy, sxx + syy);
+        if !det.is_finite() {
+            return Err(Unusable::NotFinite);
+        }
         if det <= ONE_LINE_EIGENVALUE_RATIO * trace * trace {
             return Err(Unusable::OneLine);
         }
@@ -116,6 +122,14 @@ mod tests {
             let mut corner = wall.clone();
             corner.push((2.0, 29.0));
             assert_eq!(scan(&corner).check_usable(), Ok(()), "slope {slope}");
+        }
+    }
+
+    #[test]
+    fn coordinates_that_are_no_numbers_are_refused() {
+        for bad in [f32::NAN, f32::INFINITY] {
+            let scan = scan(&[(1.0, 0.0), (0.0, bad), (-1.0, 0.5), (0.0, -1.0)]);
+            assert_eq!(scan.check_usable(), Err(Unusable::NotFinite));
         }
     }
 

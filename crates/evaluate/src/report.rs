@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use dataset::tables::Provenance;
 use dataset::{Label, Scores};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -21,8 +22,14 @@ pub struct Fact {
 /// The error that the paper reports for its own campus.
 const PAPER_ERROR: &str = "under 5\u{a0}%";
 
-/// The report as HTML.
-pub fn report(name: &str, input: &Input<'_>, evaluation: &Evaluation, facts: &[Fact]) -> String {
+/// The report as HTML; its provenance stands in `meta` elements, under the keys that tables have.
+pub fn report(
+    name: &str,
+    input: &Input<'_>,
+    evaluation: &Evaluation,
+    facts: &[Fact],
+    provenance: &Provenance,
+) -> String {
     let groupings: Vec<&str> = distinct(evaluation.errors.iter().map(|row| &*row.grouping));
     let page = html! {
         (DOCTYPE)
@@ -30,6 +37,9 @@ pub fn report(name: &str, input: &Input<'_>, evaluation: &Evaluation, facts: &[F
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
+                @for (key, value) in provenance.entries("report") {
+                    meta name=(key) content=(value);
+                }
                 title { "loopboost: " (name) }
                 style { (PreEscaped(include_str!("report.css"))) }
             }
@@ -45,7 +55,7 @@ pub fn report(name: &str, input: &Input<'_>, evaluation: &Evaluation, facts: &[F
                     }
                     (selection(input))
                     (maps(input))
-                    (provenance(input, facts))
+                    (origins(input, facts))
                 }
             }
         }
@@ -287,7 +297,7 @@ fn maps(input: &Input<'_>) -> Markup {
     }
 }
 
-fn provenance(input: &Input<'_>, facts: &[Fact]) -> Markup {
+fn origins(input: &Input<'_>, facts: &[Fact]) -> Markup {
     let mut keyframes: BTreeMap<&str, usize> = BTreeMap::new();
     for keyframe in input.keyframes {
         *keyframes.entry(&keyframe.id.log).or_default() += 1;

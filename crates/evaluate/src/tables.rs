@@ -1,14 +1,15 @@
 //! `evaluation/*.parquet`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_array::{ArrayRef, Float64Array, Int8Array, StringArray, UInt32Array, UInt64Array};
-use dataset::tables::{Provenance, Result, batch, write_table};
+use dataset::tables::{Provenance, Result, batch, floats, strings, write_table};
 
 use crate::{Evaluation, Input};
 
-/// Writes `errors`, `precision_recall`, `selection` and `mistakes` into a folder.
+/// Writes `errors`, `precision_recall`, `selection` and `mistakes` into a folder; returns their
+/// paths.
 ///
 /// | table | a row is | columns |
 /// |---|---|---|
@@ -21,10 +22,13 @@ pub fn write_tables(
     provenance: &Provenance,
     input: &Input<'_>,
     evaluation: &Evaluation,
-) -> Result<()> {
-    let write = |name: &str, columns: Vec<(&str, ArrayRef)>, nullable: &[&str]| {
+) -> Result<Vec<PathBuf>> {
+    let mut written = Vec::new();
+    let mut write = |name: &str, columns: Vec<(&str, ArrayRef)>, nullable: &[&str]| {
         let path = folder.join(format!("{name}.parquet"));
-        write_table(&path, name, provenance, &batch(columns, nullable))
+        write_table(&path, name, provenance, &batch(columns, nullable))?;
+        written.push(path);
+        Ok(())
     };
 
     let rows = &evaluation.errors;
@@ -111,13 +115,6 @@ pub fn write_tables(
         ("confidence", floats(rows.iter().map(|m| m.confidence))),
         ("distance_m", floats(rows.iter().map(|m| pair(m).distance_m))),
     ];
-    write("mistakes", columns, &[])
-}
-
-fn strings<'a>(values: impl Iterator<Item = &'a str>) -> ArrayRef {
-    Arc::new(values.map(Some).collect::<StringArray>())
-}
-
-fn floats(values: impl Iterator<Item = f64>) -> ArrayRef {
-    Arc::new(Float64Array::from_iter_values(values))
+    write("mistakes", columns, &[])?;
+    Ok(written)
 }

@@ -10,6 +10,7 @@ pub use paper16::{PAPER16_NAMES, Paper16};
 
 /// The section `[featurize]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "FeaturizeOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
     /// Which features.
@@ -46,6 +47,7 @@ impl Options {
 
 /// A named, versioned list of features.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum FeatureSet {
     /// The 16 features of the paper's Appendix A.

@@ -82,8 +82,10 @@ impl Paper16 {
         let circle_residual: f64 =
             points.iter().map(|p| (circle.radius - distance(p, &circle.centre)).powi(2)).sum();
 
-        let stride = curvature_stride(angles_rad, scratch);
-        let curvature = menger_curvatures(points, is_ring, stride, gate_m, scratch);
+        let curvature = match curvature_stride(angles_rad, scratch) {
+            Some(stride) => menger_curvatures(points, is_ring, stride, gate_m, scratch),
+            None => MeanStd { mean: 0.0, std: 0.0 },
+        };
 
         scratch.clear();
         scratch.extend(points.iter().map(|p| distance(p, &mu)));
@@ -186,16 +188,13 @@ fn fit_circle(points: &[[f64; 2]], mu: [f64; 2]) -> Circle {
     Circle { centre: [mu[0] + uc, mu[1] + vc], radius }
 }
 
-/// How many returns make about one degree: max(1, round(1 deg / median a_i)).
-fn curvature_stride(angles_rad: &[f64], scratch: &mut Vec<f64>) -> usize {
+/// How many returns make about one degree: max(1, round(1 deg / median a_i)). None where the
+/// median is 0: returns that lie behind one another span no angle, however many.
+fn curvature_stride(angles_rad: &[f64], scratch: &mut Vec<f64>) -> Option<usize> {
     scratch.clear();
     scratch.extend_from_slice(angles_rad);
     let median_rad = median(scratch);
-    if median_rad == 0.0 {
-        // Returns that lie behind one another: no stride makes a degree, no triple counts.
-        return angles_rad.len() + 1;
-    }
-    ((1f64.to_radians() / median_rad).round() as usize).max(1)
+    (0.0 < median_rad).then(|| ((1f64.to_radians() / median_rad).round() as usize).max(1))
 }
 
 /// The middle value, or the mean of the two middle ones; reorders the values.
@@ -236,7 +235,8 @@ fn menger_curvatures(
         }
     };
     if is_ring {
-        let stride = if n < stride { 0 } else { stride };
+        // Around the ring, as often as it takes.
+        let stride = stride % n;
         for (i, q) in points.iter().enumerate() {
             triple(&points[(i + n - stride) % n], q, &points[(i + stride) % n]);
         }

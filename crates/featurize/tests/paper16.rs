@@ -283,8 +283,9 @@ fn curvature_leaves_out_triples_with_a_side_of_zero_or_above_the_gate() {
         let expected = [("curvature_mean", curvature_mean), ("curvature_std", 0.0)];
         check(GATE_M, &scan(OPEN_DEG, points), TIGHT, &expected);
     }
-    // Returns 0.01 deg apart: s = 105, more than the ring holds.
-    let far_post = scan(RING_DEG, [(60.0, 0.0), (60.0, 0.01), (60.5, 0.0)]);
+    // The middle angles, 0.01 / 60.5 and 0.01 / 60 - 0.01 / 60.5 rad, have the mean 0.005 / 60:
+    // s = 209, more than the ring holds.
+    let far_post = scan(RING_DEG, [(60.0, 0.0), (60.0, 0.01), (60.5, 0.01), (60.5, 0.0)]);
     check(GATE_M, &far_post, TIGHT, &[("curvature_mean", 0.0), ("curvature_std", 0.0)]);
 }
 

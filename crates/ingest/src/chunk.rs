@@ -45,10 +45,7 @@ pub(crate) fn records(
     let mut dropped = Dropped::default();
     let body = &log[piece.range.clone()];
     match piece.kind {
-        PieceKind::Message => match mcap::parse_record(op::MESSAGE, body) {
-            Ok(record) => visit(record),
-            Err(_) => dropped.add("message records that are malformed", 1),
-        },
+        PieceKind::Records => visit_records(body, &mut visit, &mut dropped),
         PieceKind::CutChunk => cut_chunk_records(body, &mut visit),
         PieceKind::Chunk => match decompress(body, buffer) {
             Ok(records) => visit_records(records, &mut visit, &mut dropped),
@@ -147,7 +144,7 @@ fn visit_records(mut records: &[u8], visit: &mut impl FnMut(Record<'_>), dropped
         // Message indexes do not stand in chunks; schemas and channels are read elsewhere too.
         match mcap::parse_record(opcode, body) {
             Ok(record) => visit(record),
-            Err(_) => dropped.add("records within chunks that are malformed", 1),
+            Err(_) => dropped.add("records that are malformed", 1),
         }
     }
 }

@@ -36,6 +36,7 @@ use turns::{ScanMaker, TurnCutter};
 
 /// Where scans come from; the section `[ingest.lidar]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct LidarOptions {
     /// Topic with `VelodyneScan` or `LaserScan` messages; the schema tells which.
@@ -91,6 +92,7 @@ impl LidarOptions {
 
 /// Where poses come from; the section `[ingest.pose]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct PoseOptions {
     /// Topic with `PoseStamped` or `Odometry` messages; the schema tells which.
@@ -125,7 +127,7 @@ pub struct Ingested {
 #[derive(Debug, thiserror::Error)]
 pub enum IngestError {
     /// The system refused to open or map the file.
-    #[error("cannot read {path}: {source}")]
+    #[error("cannot read {path}")]
     Open {
         /// The log.
         path: PathBuf,
@@ -185,7 +187,9 @@ pub enum IngestError {
         detail: String,
     },
     /// Not one scan came out.
-    #[error("{path}: topic `{topic}` gives no scan{detail}")]
+    #[error(
+        "{path}: topic `{topic}` gives no scan{detail}; set `ingest.lidar.topic` to another topic, or take the log out of `ingest.logs`"
+    )]
     NoScans {
         /// The log.
         path: PathBuf,
@@ -196,7 +200,7 @@ pub enum IngestError {
     },
     /// The packets are of another sensor.
     #[error(
-        "{path}: topic `{topic}` holds packets of a {found} ({evidence}), expected a Velodyne HDL-32E; only that model can be ingested from packets"
+        "{path}: topic `{topic}` holds packets of a {found} ({evidence}), expected a Velodyne HDL-32E, the only model that can be ingested from packets; take the log out of `ingest.logs`, or name a LaserScan topic"
     )]
     OtherSensor {
         /// The log.
@@ -233,6 +237,9 @@ pub fn ingest<E: From<IngestError> + Send>(
         Some(pose) => Some(contents.topic(log, &pose.topic, "ingest.pose.topic", &POSE_TYPES)?),
         None => None,
     };
+    let mut dropped = contents.dropped.clone();
+    dropped.merge(lidar.unfit.clone());
+    dropped.merge(pose.as_ref().map(|pose| pose.unfit.clone()).unwrap_or_default());
     let pieces: Vec<&Piece> = contents.pieces_with(&lidar, pose.as_ref());
     let windows: Vec<&[&Piece]> =
         pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()).collect();
@@ -248,7 +255,7 @@ pub fn ingest<E: From<IngestError> + Send>(
         cutter: TurnCutter::new(options.lidar.max_hole_deg),
         maker: ScanMaker::new(&options.lidar),
         poses: Vec::new(),
-        dropped: contents.dropped.clone(),
+        dropped,
         n_scans: 0,
     };
     // The pieces of a window are decoded side by side, and joined in the order of the file while
@@ -287,10 +294,12 @@ pub fn ingest<E: From<IngestError> + Send>(
         false => format!(" (dropped: {dropped})"),
     };
     if n_scans == 0 {
-        let mut detail = detail(&dropped);
-        if ends.n_partial > 0 {
-            detail.push_str("; its packets span less than one turn between two cuts at azimuth 0");
-        }
+        let detail = match dropped.is_empty() && ends.n_partial > 0 {
+            true => {
+                ": its packets span less than one turn between two cuts at azimuth 0".to_owned()
+            }
+            false => detail(&dropped),
+        };
         return Err(IngestError::NoScans {
             path: log.path().to_owned(),
             topic: lidar.name,
@@ -369,15 +378,11 @@ fn decode(
                 _ => planar::scan(source.encoding, data, options)
                     .map(|scan| decoded.scans.push(scan)),
             };
-            if result.is_err() {
-                decoded.dropped.add(
-                    format!(
-                        "messages of {} that do not decode as {}",
-                        lidar.name,
-                        source.message_type.name()
-                    ),
-                    1,
-                );
+            if let Err(error) = result {
+                let (topic, kind) = (&lidar.name, source.message_type.name());
+                let reason =
+                    format!("messages of {topic} that do not decode as {kind} ({})", error.kind());
+                decoded.dropped.add(reason, 1);
             }
         }
         if let Some((topic, source)) = pose.and_then(|t| Some((t, t.source(channel)?))) {

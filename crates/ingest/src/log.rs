@@ -64,8 +64,8 @@ pub(crate) enum PieceKind {
     Chunk,
     /// A chunk record, from its opcode on, that the end of the file cuts.
     CutChunk,
-    /// One message record's body, outside any chunk.
-    Message,
+    /// Whole top-level records, messages among them, outside any chunk.
+    Records,
 }
 
 impl Piece {
@@ -86,6 +86,8 @@ pub(crate) struct Source {
 pub(crate) struct Topic {
     pub(crate) name: String,
     sources: BTreeMap<u16, Source>,
+    /// Messages of the topic that cannot be read for the type of their channel.
+    pub(crate) unfit: Dropped,
 }
 
 impl Topic {
@@ -94,6 +96,9 @@ impl Topic {
         self.sources.get(&channel).copied()
     }
 }
+
+/// Messages outside chunks are read in stretches of about this size.
+const LOOSE_BYTES: usize = 1 << 20;
 
 /// What a cut file lacks, as a reason.
 const CUT: &str =
@@ -164,6 +169,11 @@ impl Log {
             })
             .collect();
 
+        // A writer may leave the channels out of the summary; then the data has to be looked into.
+        let n_channels = summary.stats.as_ref().map_or(0, |stats| stats.channel_count as usize);
+        if channels.is_empty() || channels.len() < n_channels {
+            return None;
+        }
         let mut indexes: Vec<_> = summary.chunk_indexes.iter().collect();
         indexes.sort_by_key(|index| index.chunk_start_offset);
         let mut contents = Contents {
@@ -259,19 +269,33 @@ impl Log {
         let to_end_of_file = range.end == self.bytes.len();
         let mut at = range.start;
         let mut ended = false;
+        // Messages outside chunks are taken together, up to a size.
+        let mut loose: Option<Range<usize>> = None;
+        let piece = |kind, range| Piece { kind, range, channels: None };
         for record in records(self.bytes(), range.clone()) {
-            at = record.body.end;
-            let kind = match record.opcode {
-                op::CHUNK => PieceKind::Chunk,
-                op::MESSAGE => PieceKind::Message,
+            let start = std::mem::replace(&mut at, record.body.end);
+            match record.opcode {
+                op::MESSAGE => {
+                    let stretch = loose.get_or_insert(start..start);
+                    stretch.end = at;
+                    if stretch.len() < LOOSE_BYTES {
+                        continue;
+                    }
+                }
+                op::CHUNK | op::DATA_END | op::FOOTER => {}
+                _ => continue,
+            }
+            contents.pieces.extend(loose.take().map(|range| piece(PieceKind::Records, range)));
+            match record.opcode {
+                op::CHUNK => contents.pieces.push(piece(PieceKind::Chunk, record.body)),
                 op::DATA_END | op::FOOTER => {
                     ended = true;
                     break;
                 }
-                _ => continue,
-            };
-            contents.pieces.push(Piece { kind, range: record.body, channels: None });
+                _ => {}
+            }
         }
+        contents.pieces.extend(loose.map(|range| piece(PieceKind::Records, range)));
         if !to_end_of_file && at != range.end {
             contents.dropped.add("stretches between chunks that hold no records", 1);
         }
@@ -295,7 +319,7 @@ impl Contents {
         types: &[MessageType],
     ) -> Result<Topic, IngestError> {
         let source = |channel: &Channel| {
-            let message_type = MessageType::from_schema_name(&channel.schema)?;
+            let message_type = channel.message_type()?;
             let encoding = Encoding::from_name(&channel.message_encoding)?;
             types.contains(&message_type).then_some(Source { message_type, encoding })
         };
@@ -327,24 +351,28 @@ impl Contents {
                 topics: suitable(),
             });
         }
-        let mut sources = BTreeMap::new();
-        for (&id, channel) in channels {
-            let Some(source) = source(channel) else {
-                return Err(IngestError::WrongType {
-                    path: log.path().to_owned(),
-                    topic: name.to_owned(),
-                    key,
-                    found: channel.describe(),
-                    expected: match key {
-                        "ingest.pose.topic" => "`PoseStamped` or `Odometry` as `cdr` or `ros1`",
-                        _ => "`VelodyneScan` or `LaserScan` as `cdr` or `ros1`",
-                    },
-                    topics: suitable(),
-                });
-            };
-            sources.insert(id, source);
+        let sources: BTreeMap<u16, Source> =
+            channels.iter().filter_map(|(id, channel)| Some((**id, source(channel)?))).collect();
+        if sources.is_empty() {
+            return Err(IngestError::WrongType {
+                path: log.path().to_owned(),
+                topic: name.to_owned(),
+                key,
+                found: channels[0].1.describe(),
+                expected: match key {
+                    "ingest.pose.topic" => "`PoseStamped` or `Odometry` as `cdr` or `ros1`",
+                    _ => "`VelodyneScan` or `LaserScan` as `cdr` or `ros1`",
+                },
+                topics: suitable(),
+            });
         }
-        Ok(Topic { name: name.to_owned(), sources })
+        // Another channel of the topic, of a type that does not fit, is left out and counted.
+        let mut unfit = Dropped::default();
+        for (_, channel) in channels.iter().filter(|(id, _)| !sources.contains_key(id)) {
+            let reason = format!("messages of {name} in a channel of {}", channel.describe());
+            unfit.add(reason, channel.n_messages.unwrap_or(1));
+        }
+        Ok(Topic { name: name.to_owned(), sources, unfit })
     }
 
     /// The pieces that hold, or may hold, messages of the topics.
@@ -360,6 +388,12 @@ impl Contents {
 }
 
 impl Channel {
+    /// What a scan could be made of its messages, or of which type its poses are.
+    pub fn message_type(&self) -> Option<MessageType> {
+        Encoding::from_name(&self.message_encoding)?;
+        MessageType::from_schema_name(&self.schema)
+    }
+
     /// Schema and encoding, for messages.
     pub fn describe(&self) -> String {
         let schema = if self.schema.is_empty() { "no schema" } else { &self.schema };

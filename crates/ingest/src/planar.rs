@@ -1,6 +1,7 @@
 //! A `LaserScan` message -> a scan.
 
 use dataset::Scan;
+use messages::MessageError;
 use messages::ros::{self, Encoding};
 
 use crate::LidarOptions;
@@ -13,6 +14,9 @@ pub(crate) fn scan(
     options: &LidarOptions,
 ) -> messages::Result<Scan> {
     let message = ros::read_laser_scan(encoding, data)?;
+    if !message.angle_min.is_finite() || !message.angle_increment.is_finite() {
+        return Err(MessageError::NotFinite { message: "LaserScan" });
+    }
     // Compared as the message's own f32, so that a reading at a limit is within it.
     let limits = options.range_min_m as f32..=options.range_max_m as f32;
     let own_limits = message.range_min..=message.range_max;

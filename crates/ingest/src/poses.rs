@@ -14,7 +14,7 @@ pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, S
         MessageType::Odometry => ros::read_odometry(source.encoding, data),
         _ => ros::read_pose_stamped(source.encoding, data),
     }
-    .map_err(|_| format!("that do not decode as {}", source.message_type.name()))?;
+    .map_err(|e| format!("that do not decode as {} ({})", source.message_type.name(), e.kind()))?;
     let [x, y, z, w] = pose.orientation;
     let norm = (x * x + y * y + z * z + w * w).sqrt();
     if !pose.position.iter().all(|v| v.is_finite()) || !norm.is_finite() {

@@ -1,7 +1,7 @@
 //! `VelodyneScan` messages -> the firings of one laser, packet by packet.
 
 use dataset::Dropped;
-use messages::hdl32e::{BLOCK_PERIOD_NS, BLOCKS, HORIZONTAL_LASER, Packet, ReturnMode};
+use messages::hdl32e::{BLOCK_PERIOD_NS, BLOCKS, HORIZONTAL_LASER, HOUR_US, Packet, ReturnMode};
 use messages::ros::{Encoding, VelodyneScan};
 
 /// The laser that makes the scan, in firing order.
@@ -108,10 +108,10 @@ const PERIOD_TOLERANCE: f64 = 0.05;
 pub(crate) fn other_sensor(packets: &[RingPacket]) -> Option<OtherSensor> {
     let first = packets.first()?;
     let returns = BLOCKS as f64 / f64::from(first.n_firings);
-    let mut gaps_us: Vec<u32> =
+    let mut gaps_us: Vec<f64> =
         packets.windows(2).map(|pair| device_gap_us(&pair[0], &pair[1])).collect();
-    gaps_us.sort_unstable();
-    let measured_us = gaps_us.get(gaps_us.len() / 2).map_or(0.0, |&gap| f64::from(gap)) * returns;
+    gaps_us.sort_by(f64::total_cmp);
+    let measured_us = gaps_us.get(gaps_us.len() / 2).copied().unwrap_or(0.0) * returns;
     let model_of_period = MODELS
         .iter()
         .find(|(_, _, period_us)| (measured_us / period_us - 1.0).abs() < PERIOD_TOLERANCE);
@@ -125,21 +125,24 @@ pub(crate) fn other_sensor(packets: &[RingPacket]) -> Option<OtherSensor> {
     (name != MODELS[0].0).then_some(OtherSensor { name, evidence })
 }
 
-/// Device time between two packets \[us\]; the clock starts again at the top of the hour.
-pub(crate) fn device_gap_us(earlier: &RingPacket, later: &RingPacket) -> u32 {
-    use messages::hdl32e::HOUR_US;
-    if earlier.device_us <= later.device_us {
-        later.device_us - earlier.device_us
+/// Device time from one packet to another \[us\], negative where the other was earlier. The clock
+/// starts again at the top of the hour: of the two ways around, the shorter.
+pub(crate) fn device_gap_us(from: &RingPacket, to: &RingPacket) -> f64 {
+    let hour = f64::from(HOUR_US);
+    let gap = f64::from(to.device_us) - f64::from(from.device_us);
+    if gap < -hour / 2.0 {
+        gap + hour
+    } else if hour / 2.0 < gap {
+        gap - hour
     } else {
-        (u64::from(later.device_us) + u64::from(HOUR_US))
-            .saturating_sub(u64::from(earlier.device_us)) as u32
+        gap
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use messages::hdl32e::{HOUR_US, PRODUCT_HDL32E, PacketBuilder};
+    use messages::hdl32e::{PRODUCT_HDL32E, PacketBuilder};
 
     fn packets(period_us: u32, product: u8) -> Vec<RingPacket> {
         let bytes = PacketBuilder::new([0; BLOCKS], 0).finish();

@@ -19,9 +19,11 @@ const FINE_TURN: u32 = AZIMUTH_COUNTS as u32 * FINE_PER_COUNT;
 const PACKETS_TO_IDENTIFY: usize = 200;
 /// A step over more than this many ordinary ones means that packets are missing.
 const MAX_STEPS: f64 = 2.5;
-/// Device time between two packets beyond which the recording is taken to have been interrupted
-/// \[us\].
-const INTERRUPTED_US: u32 = 2_000_000;
+/// Time between two packets beyond which the recording is taken to have been interrupted \[us\].
+const INTERRUPTED_US: f64 = 2e6;
+/// Firings in a turn beyond which the sensor is taken to have stalled: 0.46 s, where the slowest
+/// turn, at 5 Hz, takes 0.2 s.
+const MAX_FIRINGS: usize = 10_000;
 
 /// One firing of the laser.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,11 +42,21 @@ pub(crate) struct Turn {
     firings: Vec<Firing>,
     /// Sum of the steps from each firing to where the next is due \[0.01 deg\].
     swept: u64,
-    /// The last of these steps.
+    /// Azimuth passed without a packet \[0.01 deg\], up to the next firing there is.
+    missed: u64,
+    /// The step of the last firing.
     last_step: u32,
     /// Whether the turn's start was seen: the firing before it lies in another turn, or is due
     /// before azimuth 0.
     starts_at_cut: bool,
+}
+
+impl Turn {
+    /// Angle from the first firing to the last \[deg\], what was missed between included: a turn of
+    /// which packets are missing is a full circle all the same.
+    fn coverage_deg(&self) -> f32 {
+        (self.swept + self.missed).saturating_sub(u64::from(self.last_step)) as f32 / 100.0
+    }
 }
 
 /// Cuts the packets of a log, given in order, into turns.
@@ -70,6 +82,10 @@ pub(crate) struct Ends {
 
 /// How two successive packets lie to each other.
 enum Link {
+    /// The second is the first once more.
+    Repeated,
+    /// The second was fired before the first.
+    OutOfOrder,
     /// The second follows the first; the step between them \[0.01 deg\].
     Next(u32),
     /// Packets are missing; the sensor turned on by so much meanwhile \[0.01 deg\].
@@ -106,13 +122,33 @@ impl TurnCutter {
                 self.other_sensor = ring::other_sensor(&self.first_packets);
             }
         }
-        let Some(pending) = self.pending.replace(*packet) else { return };
-        match link(&pending, packet) {
+        if packet.end_ns == 0 {
+            self.ends.dropped.add("packets without a stamp (0)", 1);
+            return;
+        }
+        let Some(pending) = self.pending else {
+            self.pending = Some(*packet);
+            return;
+        };
+        let link = link(&pending, packet);
+        match link {
+            Link::Repeated => {
+                self.ends.dropped.add("packets that are there twice", 1);
+                return;
+            }
+            Link::OutOfOrder => {
+                self.ends.dropped.add("packets out of order", 1);
+                return;
+            }
+            _ => self.pending = Some(*packet),
+        }
+        match link {
+            Link::Repeated | Link::OutOfOrder => {}
             Link::Next(step) => self.add(&pending, step, turns),
             Link::Hole(turned) => {
                 let step = own_step(&pending);
                 self.add(&pending, step, turns);
-                self.skip(&pending, turned, turns);
+                self.skip(turned, turns);
             }
             Link::Interrupted => {
                 self.add(&pending, own_step(&pending), turns);
@@ -157,19 +193,32 @@ impl TurnCutter {
                 // The firing before the first of a log is due one step before it.
                 self.turn.starts_at_cut |= fine_azimuth < step * FINE_PER_COUNT;
             }
+            if self.turn.firings.len() == MAX_FIRINGS {
+                self.ends.dropped.add("turns of more than 0.46 s (the sensor stalled)", 1);
+                self.turn = Turn::default();
+            }
             self.turn.firings.push(Firing { fine_azimuth, distance: packet.distance[k] });
             self.turn.swept += u64::from(step);
             self.turn.last_step = step;
         }
     }
 
-    /// Passes over missing packets: what they cover is missing in the turn, or in the turns.
-    fn skip(&mut self, before: &RingPacket, turned: u64, turns: &mut Vec<Turn>) {
-        let at = u64::from(before.azimuth[usize::from(before.n_firings) - 1]);
-        let turns_passed = (at + turned) / u64::from(AZIMUTH_COUNTS);
-        if turns_passed > 0 {
-            self.cut(turns);
+    /// Passes over missing packets, which cover `turned`: what they cover is missing in the turn,
+    /// or in the turns.
+    fn skip(&mut self, turned: u64, turns: &mut Vec<Turn>) {
+        let whole_turn = u64::from(AZIMUTH_COUNTS);
+        let at = self.turn.firings.last().map_or(0, |last| last.fine_azimuth / FINE_PER_COUNT);
+        let at = u64::from(at);
+        // The last firing's own step is swept already.
+        let missed = turned.saturating_sub(u64::from(self.turn.last_step));
+        let turns_passed = (at + turned) / whole_turn;
+        if turns_passed == 0 {
+            self.turn.missed += missed;
+            return;
         }
+        self.turn.missed += missed.min(whole_turn.saturating_sub(at));
+        self.cut(turns);
+        self.turn.missed = (at + turned) % whole_turn;
         if turns_passed > 1 {
             self.ends.dropped.add("turns of which every packet is missing", turns_passed - 1);
         }
@@ -200,9 +249,10 @@ impl TurnCutter {
     }
 
     fn keep(&mut self, turn: Turn, turns: &mut Vec<Turn>) {
-        // The steps of a whole turn add up to one turn, give or take one step at the cut.
-        let due = u64::from(AZIMUTH_COUNTS) - u64::from(turn.last_step).min(1000);
-        if turn.swept + self.max_hole < due {
+        // A firing or two at the cut are no hole.
+        let slack = 2 * u64::from(turn.last_step).min(100);
+        let missing = u64::from(AZIMUTH_COUNTS).saturating_sub(turn.swept + slack);
+        if self.max_hole < missing {
             let reason = format!(
                 "turns with a hole of more than {} deg (packets missing)",
                 self.max_hole as f64 / 100.0
@@ -238,19 +288,30 @@ fn link(earlier: &RingPacket, later: &RingPacket) -> Link {
     let n = usize::from(earlier.n_firings);
     let between = step(earlier.azimuth[n - 1], later.azimuth[0]);
     let mean_step = f64::from(step(earlier.azimuth[0], earlier.azimuth[n - 1])) / (n - 1) as f64;
-    let gap_us = device_gap_us(earlier, later);
     let period_us = earlier.period_ns() as f64 / 1000.0;
-    if INTERRUPTED_US < gap_us {
+    let device_us = device_gap_us(earlier, later);
+    let stamps_us = later.end_ns.saturating_sub(earlier.end_ns) as f64 / 1000.0;
+    if device_us == 0.0 && earlier.azimuth == later.azimuth && mean_step > 0.0 {
+        return Link::Repeated;
+    }
+    if -INTERRUPTED_US < device_us && device_us < 0.0 {
+        return Link::OutOfOrder;
+    }
+    // The device clock is the finer one; where it stands still the stamps must do. Where the two
+    // disagree, one of them has jumped, or a whole number of hours has passed.
+    let gap_us = if device_us == 0.0 { stamps_us } else { device_us };
+    let disagree = device_us != 0.0 && INTERRUPTED_US < (stamps_us - device_us).abs();
+    if INTERRUPTED_US < gap_us || disagree {
         return Link::Interrupted;
     }
-    // A device clock that stands still leaves the azimuths alone to tell.
-    let on_time = gap_us == 0 || f64::from(gap_us) < 1.5 * period_us;
+    // Stamps of packets that the host read in one go are of one moment: not late is on time.
+    let on_time = gap_us < if device_us == 0.0 { 0.02e6 } else { 1.5 * period_us };
     if on_time && f64::from(between) <= MAX_STEPS * mean_step.max(1.0) {
         return Link::Next(between);
     }
     // The time that passed tells how many whole turns the azimuths hide.
     let block_us = BLOCK_PERIOD_NS as f64 / 1000.0;
-    let steps = (f64::from(gap_us) - period_us) / block_us + 1.0;
+    let steps = (gap_us - period_us) / block_us + 1.0;
     let expected = steps.max(0.0) * mean_step;
     let hidden_turns =
         ((expected - f64::from(between)) / f64::from(AZIMUTH_COUNTS)).round().max(0.0) as u64;
@@ -289,7 +350,7 @@ impl ScanMaker {
             stamp_ns: turn.stamp_ns,
             x_m: Vec::with_capacity(n_returns),
             y_m: Vec::with_capacity(n_returns),
-            coverage_deg: (turn.swept - u64::from(turn.last_step)) as f32 / 100.0,
+            coverage_deg: turn.coverage_deg(),
         };
         for firing in &turn.firings {
             let range_m = f64::from(firing.distance) * METRES_PER_COUNT;
@@ -392,7 +453,8 @@ mod tests {
         let (turns, ends) = cut(&small);
         assert_eq!((turns.len(), reasons(&ends).len()), (3, 0));
         let scan = ScanMaker::new(&LidarOptions::default()).scan(&turns[0]);
-        assert!((scan.coverage_deg - 355.0).abs() < 1e-4, "359.8 less the hole");
+        assert!((scan.coverage_deg - 359.8).abs() < 1e-4, "a ring, whatever is missing");
+        assert_eq!(turns[0].firings.len(), 1776);
         // Three missing: 7.2 deg, that turn is dropped.
         let mut large = whole.clone();
         large.drain(100..103);
@@ -445,6 +507,47 @@ mod tests {
         );
     }
 
+    /// The device clock counts to an hour: a pause of one hour shows in the stamps alone.
+    #[test]
+    fn a_pause_of_an_hour_is_an_interruption() {
+        let mut packets = packets(800, 35_000, 20);
+        packets[400..].iter_mut().for_each(|packet| packet.end_ns += 3_600_000_000_000);
+        let (turns, ends) = cut(&packets);
+        assert_eq!(ends.dropped.iter().count(), 1);
+        assert_eq!((turns.len(), ends.n_partial), (4, 4));
+    }
+
+    #[test]
+    fn repeated_and_swapped_packets_cost_no_turn() {
+        let mut twice = packets(400, 35_000, 20);
+        twice.insert(100, twice[99]);
+        let (turns, ends) = cut(&twice);
+        assert_eq!((turns.len(), reasons(&ends)), (2, vec![("packets that are there twice", 1)]));
+        let mut swapped = packets(400, 35_000, 20);
+        swapped.swap(100, 101);
+        let (turns, ends) = cut(&swapped);
+        assert_eq!((turns.len(), reasons(&ends)), (2, vec![("packets out of order", 1)]));
+    }
+
+    #[test]
+    fn a_stalled_sensor_gives_no_endless_turn() {
+        let mut packets = packets(2400, 35_000, 20);
+        for packet in &mut packets[200..2000] {
+            packet.azimuth = [12_345; BLOCKS];
+        }
+        let (turns, ends) = cut(&packets);
+        assert!(turns.iter().all(|turn| turn.firings.len() <= MAX_FIRINGS));
+        assert!(ends.dropped.iter().any(|(reason, _)| reason.contains("stalled")));
+    }
+
+    #[test]
+    fn packets_without_stamps_are_counted() {
+        let mut packets = packets(400, 35_000, 20);
+        packets.iter_mut().for_each(|packet| packet.end_ns = 0);
+        let (turns, ends) = cut(&packets);
+        assert_eq!((turns.len(), reasons(&ends)), (0, vec![("packets without a stamp (0)", 400)]));
+    }
+
     #[test]
     fn jitter_of_the_encoder_cuts_no_turn() {
         let mut packets = packets(400, 35_000, 20);
@@ -455,10 +558,15 @@ mod tests {
 
     #[test]
     fn a_device_clock_that_stands_still_is_done_without() {
-        let mut packets = packets(400, 35_000, 20);
+        let mut packets = packets(900, 35_000, 20);
         packets.iter_mut().for_each(|packet| packet.device_us = 7);
-        let (turns, ends) = cut(&packets);
+        let (turns, ends) = cut(&packets[..400]);
         assert_eq!((turns.len(), ends.dropped.is_empty()), (2, true));
+        // Three turns missing show in the stamps.
+        packets.drain(200..650);
+        let (turns, ends) = cut(&packets);
+        assert_eq!(turns.len(), 1, "{:?}", reasons(&ends));
+        assert!(ends.dropped.iter().any(|(reason, n)| reason.contains("every packet") && n == 2));
     }
 
     /// 5 m at azimuth 90 deg, clockwise: to the right, y = -5; upside down to the left.

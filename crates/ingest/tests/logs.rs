@@ -168,6 +168,18 @@ fn every_compression_and_layout_gives_the_same() {
         ("no repeated channels", small_chunks().repeat_channels(false)),
         ("no statistics", small_chunks().emit_statistics(false)),
         ("no summary", small_chunks().emit_summary_records(false)),
+        (
+            "no channels in the summary, no chunks",
+            plain().use_chunks(false).repeat_channels(false).repeat_schemas(false),
+        ),
+        (
+            "no channels in the summary, no message index",
+            small_chunks().emit_message_indexes(false).repeat_channels(false).repeat_schemas(false),
+        ),
+        (
+            "no channels in the summary, no chunk index",
+            small_chunks().emit_chunk_indexes(false).repeat_channels(false).repeat_schemas(false),
+        ),
         ("no CRC", small_chunks().calculate_chunk_crcs(false)),
     ] {
         let found = ingest_bytes(&write(&planar_log(), layout), &options).unwrap();
@@ -374,6 +386,40 @@ fn a_wrong_type_or_encoding_is_named() {
     assert!(error(&bare, "/scan", None).contains("`no schema, cdr`"));
 }
 
+/// A second channel of the topic, without a schema, costs its own messages alone.
+#[test]
+fn a_channel_that_does_not_fit_is_counted() {
+    let mut entries = planar_log();
+    entries.push(("/scan", "", "cdr", vec![0, 1, 0, 0]));
+    let (scans, ingested) =
+        ingest_bytes(&write(&entries, small_chunks()), &options("/scan", None)).unwrap();
+    assert_eq!(scans.len(), 10);
+    assert_eq!(
+        reasons(&ingested.dropped),
+        [("messages of /scan in a channel of no schema, cdr", 1)]
+    );
+}
+
+#[test]
+fn a_scan_whose_angles_are_no_numbers_is_counted() {
+    let mut entries = planar_log();
+    let scan = LaserScan {
+        stamp_ns: 5,
+        angle_min: f32::NAN,
+        angle_increment: 0.5,
+        range_min: 0.1,
+        range_max: 50.0,
+        ranges: vec![1.0; 7],
+    };
+    entries[0].3 = ros::write_laser_scan(Encoding::Cdr, "laser", &scan);
+    let (scans, ingested) =
+        ingest_bytes(&write(&entries, small_chunks()), &options("/scan", None)).unwrap();
+    assert_eq!(scans.len(), 9);
+    let expected =
+        "messages of /scan that do not decode as LaserScan (an angle that is not finite)";
+    assert_eq!(reasons(&ingested.dropped), [(expected, 1)]);
+}
+
 #[test]
 fn messages_that_do_not_decode_are_counted() {
     let mut entries = planar_log();
@@ -385,8 +431,8 @@ fn messages_that_do_not_decode_are_counted() {
     assert_eq!(
         reasons(&ingested.dropped),
         [
-            ("messages of /pose that do not decode as PoseStamped", 1),
-            ("messages of /scan that do not decode as LaserScan", 1)
+            ("messages of /pose that do not decode as PoseStamped (malformed)", 1),
+            ("messages of /scan that do not decode as LaserScan (malformed)", 1)
         ]
     );
 }
@@ -405,7 +451,7 @@ fn no_poses_and_no_scans_are_errors() {
     let part_of_a_turn: Vec<Entry> = packet_log(Encoding::Cdr).drain(..1).collect();
     let message = error(&part_of_a_turn, "/packets", None);
     assert!(
-        message.contains("`/packets` gives no scan; its packets span less than one turn"),
+        message.contains("`/packets` gives no scan: its packets span less than one turn"),
         "{message}"
     );
 }
@@ -419,7 +465,7 @@ fn what_is_no_log_is_refused() {
         assert!(message.contains("is no MCAP log") && message.contains(found), "{message}");
     }
     let missing = ingest_file(Path::new("no/such.mcap"), &options("/scan", None)).unwrap_err();
-    assert!(missing.to_string().contains("cannot read no/such.mcap"));
+    assert_eq!(missing.to_string(), "cannot read no/such.mcap");
 }
 
 #[test]

@@ -8,6 +8,7 @@ use crate::draw::{keyframe_hash, pair_key};
 
 /// What may not stand on both sides of a fold.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Grouping {
     /// A pair (the paper's protocol): pairs are dealt to the folds at random, each class evenly.
@@ -36,7 +37,7 @@ pub fn folds(
 ) -> Result<Vec<u32>, LabelError> {
     if n_folds < 2 {
         return Err(LabelError::Option {
-            key: "folds",
+            key: "evaluate.folds",
             found: f64::from(n_folds),
             expected: "2 or more",
         });

@@ -22,6 +22,7 @@ use draw::{Draw, keyframe_hash, pair_key};
 
 /// The section `[label]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "LabelOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
     /// A pair within this distance is positive \[m\].
@@ -59,23 +60,23 @@ impl Options {
         let fail = |key, found, expected| Err(LabelError::Option { key, found, expected });
         let good = |value: f64| value.is_finite() && 0.0 <= value;
         if !good(self.positive_radius_m) {
-            return fail("positive_radius_m", self.positive_radius_m, "0 or more");
+            return fail("label.positive_radius_m", self.positive_radius_m, "0 or more");
         }
         if !good(self.positive_heading_deg) || 180.0 < self.positive_heading_deg {
-            return fail("positive_heading_deg", self.positive_heading_deg, "0 to 180");
+            return fail("label.positive_heading_deg", self.positive_heading_deg, "0 to 180");
         }
         if !good(self.negative_min_m) || self.negative_min_m < self.positive_radius_m {
             return fail(
-                "negative_min_m",
+                "label.negative_min_m",
                 self.negative_min_m,
                 "`label.positive_radius_m` or more",
             );
         }
         if !good(self.min_travel_gap_m) {
-            return fail("min_travel_gap_m", self.min_travel_gap_m, "0 or more");
+            return fail("label.min_travel_gap_m", self.min_travel_gap_m, "0 or more");
         }
         if self.pairs_per_class == 0 {
-            return fail("pairs_per_class", 0.0, "1 or more");
+            return fail("label.pairs_per_class", 0.0, "1 or more");
         }
         Ok(())
     }
@@ -101,7 +102,7 @@ pub struct Candidates {
 pub enum LabelError {
     /// Fewer candidates of a class than asked for.
     #[error(
-        "{found} {class} pairs among {n_keyframes} keyframes, `label.pairs_per_class` asks for {wanted} ({counts}); {remedy}, add logs, or set `label.pairs_per_class` to {found} or less"
+        "{found} {class} pairs among {n_keyframes} keyframes, `label.pairs_per_class` asks for {wanted} ({counts}); {remedy}"
     )]
     TooFew {
         /// `positive` or `negative`.
@@ -115,10 +116,10 @@ pub enum LabelError {
         /// The other kinds.
         counts: String,
         /// What else could be changed.
-        remedy: &'static str,
+        remedy: String,
     },
     /// An option out of range.
-    #[error("`label.{key}` is {found}, expected {expected}")]
+    #[error("`{key}` is {found}, expected {expected}")]
     Option {
         /// The option.
         key: &'static str,
@@ -267,14 +268,19 @@ fn check_enough(
     }
     let Candidates { positive, negative, ambiguous, near_in_path, without_common_frame } = counts;
     let (class, remedy) = match label {
-        Label::Positive => {
-            ("positive", "raise `label.positive_radius_m` or lower `label.min_travel_gap_m`")
-        }
+        Label::Positive => (
+            "positive",
+            "raise `label.positive_radius_m` or `label.positive_heading_deg`, lower `label.min_travel_gap_m`",
+        ),
         Label::Negative => (
             "negative",
             "lower `label.negative_min_m`, give logs of one map frame the same `site`, set `label.cross_site_negatives`",
         ),
     };
+    let mut remedy = format!("{remedy}, or add logs");
+    if found > 0 {
+        remedy.push_str(&format!("; or set `label.pairs_per_class` to {found} or less"));
+    }
     Err(LabelError::TooFew {
         class,
         found,

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow};
 use ingest::{LidarOptions, PoseOptions};
 use label::Grouping;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
@@ -26,8 +27,9 @@ fn usage(message: impl std::fmt::Display) -> anyhow::Error {
 }
 
 /// A pipeline file, all defaults resolved.
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[schemars(rename = "Pipeline")]
 pub(crate) struct Config {
     /// Names the run and its models; the file's stem unless given.
     #[serde(default)]
@@ -61,7 +63,7 @@ fn default_seed() -> u64 {
 }
 
 /// `[ingest]`
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct IngestSection {
     /// Files, folders (their `*.mcap`) or globs, relative to the pipeline file.
@@ -74,11 +76,12 @@ pub(crate) struct IngestSection {
     pub(crate) pose: Option<PoseOptions>,
     /// Per log, by file stem: any of `site`, `lidar` and `pose`, or of their keys.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    #[schemars(with = "BTreeMap<String, LogOptions>")]
     pub(crate) log: BTreeMap<String, Table>,
 }
 
 /// `[evaluate]`
-#[derive(Debug, Clone, Serialize, Deserialize)]
+#[derive(Debug, Clone, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct EvaluateSection {
     /// Folds of the cross-validation.
@@ -94,7 +97,7 @@ impl Default for EvaluateSection {
 }
 
 /// What holds for one log, its overrides applied.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct LogOptions {
     /// The map frame; the log's own name unless given.

@@ -3,6 +3,9 @@
 mod cli;
 mod config;
 mod inspect;
+mod lineage;
+mod manifest;
+mod models;
 mod pipeline;
 mod run;
 mod stages;
@@ -25,6 +28,8 @@ const DONE_WITH_LOSSES: u8 = 3;
 
 /// The only place that turns an outcome into an exit code.
 fn main() -> ExitCode {
+    // `loopboost log X | head` ends quietly, as other programs do.
+    sigpipe::reset();
     let cli = Cli::parse();
     let code = match cli.execute() {
         Ok(dropped) if dropped.is_empty() => DONE,

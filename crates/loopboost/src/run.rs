@@ -1,31 +1,60 @@
-//! A run: a configuration, a folder, and what is said on the way.
+//! A run: a configuration, a folder, its tasks, and what is said on the way.
 
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
 use dataset::Dropped;
-use dataset::tables::{Provenance, digest_file};
+use dataset::tables::{Provenance, TableError, digest_file, is_partial};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 use crate::config::{Config, stem};
+use crate::manifest::{Manifest, Record};
 
 /// A configuration and the folder its artifacts lie in.
 ///
 /// ```text
 /// <folder>/
+///   run.json                     what was made from what (see `manifest`)
 ///   logs/<log>.mcap              simulated logs
 ///   scans/<log>.parquet          poses/<log>.parquet
 ///   keyframes.parquet            pairs.parquet            features.parquet
 ///   scores.parquet               rounds.parquet
-///   models/<name>/<version>/model.json
+///   models/<name>/<version>/     model.json, card.md
 ///   evaluation/*.parquet         report.html
 /// ```
 pub(crate) struct Run {
     pub(crate) config: Config,
     folder: PathBuf,
+    mode: Mode,
+    manifest: RefCell<Manifest>,
+    /// Digests of files this process has seen and not changed since.
+    digests: RefCell<BTreeMap<PathBuf, String>>,
+    /// In a dry run: files that would be made again.
+    would_change: RefCell<BTreeSet<PathBuf>>,
+    /// Held as long as the run lives; the system lets go of it when the process ends, however.
+    _lock: Option<File>,
+}
+
+/// Which tasks are done.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Mode {
+    /// Those whose inputs, options or outputs have changed, and those of the stages named.
+    Resume {
+        /// Stages done in any case.
+        force: Vec<String>,
+    },
+    /// None; what would be done is told.
+    DryRun {
+        /// Stages that would be done in any case.
+        force: Vec<String>,
+    },
+    /// All that are come upon: a stage was asked for by its own command.
+    Always,
 }
 
 /// A log of the run.
@@ -35,9 +64,42 @@ pub(crate) struct LogFile {
     pub(crate) path: PathBuf,
 }
 
+/// A piece of work that is done whole or not at all.
+pub(crate) struct Task<O> {
+    pub(crate) stage: &'static str,
+    /// The log it is done for; none for the stages that see all logs.
+    pub(crate) log: Option<Arc<str>>,
+    pub(crate) options: O,
+    pub(crate) inputs: Vec<PathBuf>,
+}
+
+/// What a task gives.
+#[derive(Default)]
+pub(crate) struct Done {
+    pub(crate) outputs: Vec<PathBuf>,
+    pub(crate) dropped: Dropped,
+    pub(crate) said: Vec<String>,
+}
+
 impl Run {
-    pub(crate) fn new(config: Config, folder: PathBuf) -> Self {
-        Self { config, folder }
+    /// Takes hold of a run folder; fails where another process has it.
+    pub(crate) fn new(config: Config, folder: PathBuf, mode: Mode) -> Result<Self> {
+        let lock = match mode {
+            Mode::DryRun { .. } => None,
+            _ => Some(lock(&folder)?),
+        };
+        if lock.is_some() {
+            remove_partial_files(&folder)?;
+        }
+        Ok(Self {
+            config,
+            manifest: RefCell::new(Manifest::load(&folder)),
+            digests: RefCell::default(),
+            would_change: RefCell::default(),
+            folder,
+            mode,
+            _lock: lock,
+        })
     }
 
     /// A path in the run folder.
@@ -79,32 +141,169 @@ impl Run {
                 ));
             }
         }
-        if let Some(stray) =
-            self.config.ingest.log.keys().find(|log| !seen.contains(&Arc::from(log.as_str())))
+        let names: BTreeSet<&str> = logs.iter().map(|log| &*log.name).collect();
+        if let Some(stray) = self.config.ingest.log.keys().find(|log| !names.contains(log.as_str()))
         {
             return Err(anyhow!("[ingest.log.{stray}]: no log of this run is named `{stray}`"));
         }
         Ok(logs)
     }
 
-    /// The provenance of an artifact made from files of the run folder.
-    pub(crate) fn provenance(
+    /// Does a task, unless it has been done with the same inputs and options and what it made is
+    /// still there, unaltered. Returns what of the data could not be used, then or now.
+    pub(crate) fn task<O: Serialize>(
         &self,
-        options: &impl Serialize,
-        inputs: &[PathBuf],
-        dropped: Dropped,
-    ) -> Result<Provenance> {
-        let inputs = inputs
+        task: &Task<O>,
+        work: impl FnOnce(Provenance) -> Result<Done>,
+    ) -> Result<Dropped> {
+        let name = match &task.log {
+            Some(log) => format!("{} {log}", task.stage),
+            None => task.stage.to_owned(),
+        };
+        let record = self.manifest.borrow().tasks.get(&name).cloned();
+        if let Mode::DryRun { force } = &self.mode {
+            return self.tell(&name, task, record.as_ref(), force.iter().any(|s| s == task.stage));
+        }
+        let provenance = self.provenance(task)?;
+        if let (Mode::Resume { force }, Some(record)) = (&self.mode, record)
+            && !force.iter().any(|stage| stage == task.stage)
+            && record.changes(&provenance).is_empty()
+            && self.outputs_changed(&record).is_empty()
+        {
+            for line in &record.said {
+                self.say(task.stage, format!("{line} (unchanged)"));
+            }
+            return Ok(record.dropped);
+        }
+        let done = work(provenance.clone())?;
+        let mut outputs = BTreeMap::new();
+        for path in &done.outputs {
+            self.digests.borrow_mut().remove(path);
+            outputs.insert(self.name_of(path), self.digest(path)?);
+        }
+        for line in &done.said {
+            self.say(task.stage, line);
+        }
+        let record = Record {
+            program_version: provenance.program_version,
+            seed: provenance.seed,
+            options: provenance.options,
+            inputs: provenance.inputs,
+            outputs,
+            dropped: done.dropped.clone(),
+            said: done.said,
+        };
+        let mut manifest = self.manifest.borrow_mut();
+        manifest.tasks.insert(name, record);
+        manifest.save(&self.folder)?;
+        Ok(done.dropped)
+    }
+
+    /// Tells whether a task would be done, and why.
+    fn tell<O: Serialize>(
+        &self,
+        name: &str,
+        task: &Task<O>,
+        record: Option<&Record>,
+        forced: bool,
+    ) -> Result<Dropped> {
+        let would_change = self.would_change.borrow().clone();
+        let made_again: Vec<String> = task
+            .inputs
             .iter()
-            .map(|path| Ok((self.name_of(path), digest_file(path)?)))
+            .filter(|input| would_change.contains(*input))
+            .map(|input| format!("{} may change", self.name_of(input)))
+            .collect();
+        let (verdict, runs) = match record {
+            _ if forced => ("would run: forced".to_owned(), true),
+            None => ("would run: not done yet".to_owned(), true),
+            Some(_) if !made_again.is_empty() => {
+                (format!("would run if its inputs change: {}", made_again.join(", ")), true)
+            }
+            Some(record) => {
+                let mut changes = record.changes(&self.provenance(task)?);
+                changes.extend(self.outputs_changed(record));
+                match changes.is_empty() {
+                    true => ("up to date".to_owned(), false),
+                    false => (format!("would run: {}", changes.join(", ")), true),
+                }
+            }
+        };
+        if runs {
+            let outputs = match (task.stage, &task.log) {
+                ("simulate", Some(log)) => vec![self.simulated_log(log)],
+                ("ingest", Some(log)) => vec![self.scans(log), self.poses(log)],
+                ("subsample", _) => vec![self.path("keyframes.parquet")],
+                ("label", _) => vec![self.path("pairs.parquet")],
+                ("featurize", _) => vec![self.path("features.parquet")],
+                ("train", _) => vec![self.path("scores.parquet"), self.path("rounds.parquet")],
+                _ => Vec::new(),
+            };
+            self.would_change.borrow_mut().extend(outputs);
+        }
+        println!("{name:<24} {verdict}");
+        Ok(Dropped::default())
+    }
+
+    /// Outputs of a task that are missing or not as it left them.
+    fn outputs_changed(&self, record: &Record) -> Vec<String> {
+        record
+            .outputs
+            .iter()
+            .filter_map(|(name, digest)| match self.digest(&self.path(name)) {
+                Ok(found) if found == *digest => None,
+                Ok(_) => Some(format!("{name} was altered")),
+                Err(_) => Some(format!("{name} is missing")),
+            })
+            .collect()
+    }
+
+    fn provenance<O: Serialize>(&self, task: &Task<O>) -> Result<Provenance> {
+        let inputs = task
+            .inputs
+            .iter()
+            .map(|path| Ok((self.name_of(path), self.digest(path)?)))
             .collect::<Result<BTreeMap<_, _>>>()?;
         Ok(Provenance {
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
             seed: self.config.seed,
-            options: serde_json::to_value(options).context("options are JSON")?,
+            options: serde_json::to_value(&task.options).context("options are JSON")?,
             inputs,
-            dropped,
+            dropped: Dropped::default(),
         })
+    }
+
+    /// BLAKE3 digest of a file, read once in a run.
+    pub(crate) fn digest(&self, path: &Path) -> Result<String> {
+        if let Some(known) = self.digests.borrow().get(path) {
+            return Ok(known.clone());
+        }
+        let digest = digest_file(path).map_err(|error| self.explain_missing(path, error))?;
+        self.digests.borrow_mut().insert(path.to_owned(), digest.clone());
+        Ok(digest)
+    }
+
+    /// A missing input is made by another stage.
+    fn explain_missing(&self, path: &Path, error: TableError) -> anyhow::Error {
+        let is_missing = matches!(&error, TableError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound);
+        let name = self.name_of(path);
+        let stage = match name.split(['/', '.']).next().unwrap_or_default() {
+            "logs" => "simulate",
+            "scans" | "poses" => "ingest",
+            "keyframes" => "subsample",
+            "pairs" => "label",
+            "features" => "featurize",
+            "scores" | "rounds" => "train",
+            _ => return error.into(),
+        };
+        match is_missing && path.starts_with(&self.folder) {
+            true => TableError::Missing {
+                path: path.to_owned(),
+                command: format!("loopboost {stage} PIPELINE.toml --out DIR"),
+            }
+            .into(),
+            false => error.into(),
+        }
     }
 
     /// A file's name in the run folder; of one that lies elsewhere, its file name.
@@ -117,6 +316,46 @@ impl Run {
     pub(crate) fn say(&self, stage: &str, what: impl std::fmt::Display) {
         println!("{stage:<10} {what}");
     }
+}
+
+/// Takes the lock of a run folder, making the folder if need be.
+fn lock(folder: &Path) -> Result<File> {
+    std::fs::create_dir_all(folder)
+        .map_err(|e| anyhow!("cannot create folder {}: {e}", folder.display()))?;
+    let path = folder.join(".lock");
+    let file = File::options()
+        .create(true)
+        .truncate(false)
+        .write(true)
+        .open(&path)
+        .with_context(|| format!("cannot open {}", path.display()))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(std::fs::TryLockError::WouldBlock) => Err(anyhow!(
+            "another run is at work on {}; wait for it, or choose another --out",
+            folder.display()
+        )),
+        Err(std::fs::TryLockError::Error(e)) => Err(anyhow!("cannot lock {}: {e}", path.display())),
+    }
+}
+
+/// Removes what a killed run has left half written.
+fn remove_partial_files(folder: &Path) -> Result<()> {
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        let entries = std::fs::read_dir(&folder)
+            .with_context(|| format!("cannot read folder {}", folder.display()))?;
+        for entry in entries {
+            let path = entry.with_context(|| format!("cannot read {}", folder.display()))?.path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if is_partial(&path) {
+                std::fs::remove_file(&path)
+                    .with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+        }
+    }
+    Ok(())
 }
 
 /// A bar on stderr, shown on a terminal only.

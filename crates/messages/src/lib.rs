@@ -36,6 +36,12 @@ pub enum MessageError {
         /// What the decoder said.
         detail: String,
     },
+    /// An angle of a scan is NaN or infinite.
+    #[error("{message} has an angle that is not finite")]
+    NotFinite {
+        /// The message's type name.
+        message: &'static str,
+    },
     /// A data packet of another length.
     #[error("packet has {found} bytes, an HDL-32E data packet has {}", hdl32e::PACKET_BYTES)]
     PacketLength {
@@ -58,6 +64,23 @@ pub enum MessageError {
         /// The azimuth found \[0.01 deg\].
         found: u16,
     },
+}
+
+impl MessageError {
+    /// What is wrong, in a few words that are the same for all messages wrong in this way.
+    pub fn kind(&self) -> String {
+        match self {
+            Self::TooShort { .. } => "too short".to_owned(),
+            Self::Encapsulation { found } => {
+                format!("encapsulation {found:#06x}, expected plain CDR, 0x0000 or 0x0001")
+            }
+            Self::Malformed { .. } => "malformed".to_owned(),
+            Self::NotFinite { .. } => "an angle that is not finite".to_owned(),
+            Self::PacketLength { .. } | Self::BlockFlag { .. } | Self::Azimuth { .. } => {
+                "not the layout of an HDL-32E data packet".to_owned()
+            }
+        }
+    }
 }
 
 /// `Result` of this crate.

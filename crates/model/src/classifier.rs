@@ -2,6 +2,7 @@ use serde::{Deserialize, Serialize};
 
 /// The learners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Learner {
     /// Discrete AdaBoost over decision stumps (the paper's Algorithm 1).

@@ -1,5 +1,6 @@
 //! `model.json`: written once, read with every value checked.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{
     Classifier, FORMAT_VERSION, FeatureSpec, Learner, Measured, Model, OperatingPoint, ScanSpec,
-    Training, WeakLearner,
+    Training, WeakLearner, card,
 };
 
 /// A file larger than this is no model of ours; 50 rounds take about 10 kB.
@@ -19,7 +20,7 @@ const MAX_FILE_BYTES: u64 = 64 << 20;
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
     /// The system refused.
-    #[error("cannot {action} {path}: {source}")]
+    #[error("cannot {action} {path}")]
     Io {
         /// "read", "write", ...
         action: &'static str,
@@ -60,6 +61,18 @@ pub enum ModelError {
         /// Which value, what it is, and what it must be.
         what: String,
     },
+    /// The content is not what the model was saved with.
+    #[error(
+        "{path} was altered: its content has the digest {expected}, it carries {found}; train the model again or fetch the original"
+    )]
+    Digest {
+        /// The file.
+        path: PathBuf,
+        /// The digest it carries.
+        found: String,
+        /// The digest of its content.
+        expected: String,
+    },
     /// Scans that the model was not made for.
     #[error(
         "the model was trained on {trained_on} ({trained_deg} deg), the scan is one of {found} ({found_deg} deg); use a model of such scans"
@@ -77,12 +90,15 @@ pub enum ModelError {
 }
 
 /// The layout of `model.json`.
-#[derive(Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "Model"))]
 #[serde(deny_unknown_fields)]
-struct ModelFile {
+pub(crate) struct ModelFile {
     format_version: u32,
     name: String,
     version: Version,
+    /// BLAKE3 over this file with an empty digest, hex.
+    digest: String,
     program_version: String,
     seed: u64,
     learner: Learner,
@@ -96,7 +112,8 @@ struct ModelFile {
 }
 
 /// A weak learner, its feature by name.
-#[derive(Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 enum Round {
     Vote { feature: String, threshold: f64, polarity: f64, alpha: f64 },
@@ -104,21 +121,101 @@ enum Round {
     Step { feature: String, threshold: f64, below: f64, above: f64 },
 }
 
-/// Writes `<models>/<name>/<version>/model.json`, which must not exist; returns its path.
-pub fn save(models: &Path, model: &Model) -> Result<PathBuf, ModelError> {
-    let folder = models.join(&model.name).join(model.version.to_string());
-    let path = folder.join("model.json");
-    let io = |source| ModelError::Io { action: "write", path: path.clone(), source };
-    if path.exists() {
-        return Err(ModelError::Exists { path });
+/// A model version on disk.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Saved {
+    /// Its version.
+    pub version: Version,
+    /// Whether it was written now; otherwise the same model was there already.
+    pub is_new: bool,
+    /// `model.json` and `card.md`.
+    pub files: Vec<PathBuf>,
+}
+
+/// JSON Schema of `model.json`.
+#[cfg(feature = "schema")]
+pub fn schema() -> schemars::Schema {
+    schemars::schema_for!(ModelFile)
+}
+
+/// Writes `<models>/<name>/<version>/model.json`, and a model card `card.md` beside it, under the
+/// next version: 1.0.0 for the first; one minor more than the newest; one major more where the
+/// features, the scans or the learner are others than the newest's, or the newest cannot be read.
+/// Where a version with the same content exists, that one is it, and only a lost or altered card is
+/// written anew. The model's own `version` is not looked at. One process saves at a time.
+pub fn save(models: &Path, model: &Model) -> Result<Saved, ModelError> {
+    let folder = models.join(&model.name);
+    let invalid = |what| ModelError::Invalid { path: folder.clone(), what };
+    let n_features = model.features.names.len();
+    if let Some(weak) = model.classifier.rounds.iter().find(|weak| n_features <= weak.feature()) {
+        let what = format!("a round looks at feature {}, there are {n_features}", weak.feature());
+        return Err(invalid(what));
     }
-    fs::create_dir_all(&folder).map_err(io)?;
-    let partial = folder.join(".model.json.partial");
+    check(&to_file(model)).map_err(invalid)?;
+    let versions = versions(&folder)?;
+    let files = |version: &Version| {
+        let folder = folder.join(version.to_string());
+        vec![folder.join("model.json"), folder.join("card.md")]
+    };
+    for version in versions.iter().rev() {
+        let same = Model { version: version.clone(), ..model.clone() };
+        let files = files(version);
+        if fs::read_to_string(&files[0]).is_ok_and(|text| text == to_json(&same)) {
+            // A run that was killed between the two files has left the first alone.
+            write(&files[1], &card(&same))?;
+            return Ok(Saved { version: version.clone(), is_new: false, files });
+        }
+    }
+    let version = match versions.last() {
+        None => Version::new(1, 0, 0),
+        Some(newest) => match load(&files(newest)[0]) {
+            Ok(existing) if existing.is_retrained_as(model) => {
+                Version::new(newest.major, newest.minor + 1, 0)
+            }
+            _ => Version::new(newest.major + 1, 0, 0),
+        },
+    };
+    let model = Model { version: version.clone(), ..model.clone() };
+    let files = files(&version);
+    if files[0].exists() {
+        return Err(ModelError::Exists { path: files[0].clone() });
+    }
+    write(&files[0], &to_json(&model))?;
+    write(&files[1], &card(&model))?;
+    Ok(Saved { version, is_new: true, files })
+}
+
+/// The versions in a model's folder, ascending.
+fn versions(folder: &Path) -> Result<Vec<Version>, ModelError> {
+    let entries = match fs::read_dir(folder) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => {
+            return Err(ModelError::Io { action: "read", path: folder.to_owned(), source });
+        }
+    };
+    let mut versions: Vec<Version> = entries
+        .filter_map(|entry| Version::parse(entry.ok()?.file_name().to_str()?).ok())
+        .filter(|version| folder.join(version.to_string()).join("model.json").exists())
+        .collect();
+    versions.sort();
+    Ok(versions)
+}
+
+/// Writes a file beside its place and renames it when it is whole.
+fn write(path: &Path, text: &str) -> Result<(), ModelError> {
+    let io = |source| ModelError::Io { action: "write", path: path.to_owned(), source };
+    let folder = path.parent().unwrap_or(Path::new(""));
+    fs::create_dir_all(folder).map_err(io)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let partial = folder.join(format!(".{name}.partial"));
     let mut file = fs::File::create(&partial).map_err(io)?;
-    file.write_all(to_json(model).as_bytes()).map_err(io)?;
-    file.sync_all().map_err(io)?;
-    fs::rename(&partial, &path).map_err(io)?;
-    Ok(path)
+    let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
+    written.and_then(|()| fs::rename(&partial, path)).map_err(|source| {
+        // The error that matters is this one.
+        let _ = fs::remove_file(&partial);
+        io(source)
+    })
 }
 
 /// Reads a `model.json` and checks every value of it.
@@ -130,53 +227,43 @@ pub fn load(path: &Path) -> Result<Model, ModelError> {
         return Err(not_a_model(format!("{size} bytes, a model has at most {MAX_FILE_BYTES}")));
     }
     let bytes = fs::read(path).map_err(io)?;
-    let value: serde_json::Value =
+    let peek: serde_json::Value =
         serde_json::from_slice(&bytes).map_err(|e| not_a_model(e.to_string()))?;
-    match value.get("format_version") {
+    match peek.get("format_version") {
         Some(found) if found == FORMAT_VERSION => {}
         Some(found) => {
             return Err(ModelError::Version { path: path.to_owned(), found: found.to_string() });
         }
         None => return Err(not_a_model("it has no `format_version`".to_owned())),
     }
-    let file: ModelFile = serde_json::from_value(value).map_err(|e| not_a_model(e.to_string()))?;
-    from_file(file).map_err(|what| ModelError::Invalid { path: path.to_owned(), what })
-}
-
-/// The version for a model to be saved, given those under the same name: 1.0.0 for the first;
-/// the existing one where nothing but the version differs; else one minor version more, or one
-/// major where the features or the scans are others. The flag tells whether it is to be saved.
-pub fn next_version(models: &Path, model: &Model) -> Result<(Version, bool), ModelError> {
-    let folder = models.join(&model.name);
-    let entries = match fs::read_dir(&folder) {
-        Ok(entries) => entries,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
-            return Ok((Version::new(1, 0, 0), true));
-        }
-        Err(source) => return Err(ModelError::Io { action: "read", path: folder, source }),
-    };
-    let newest = entries
-        .filter_map(|entry| Version::parse(entry.ok()?.file_name().to_str()?).ok())
-        .filter(|version| folder.join(version.to_string()).join("model.json").exists())
-        .max();
-    let Some(newest) = newest else { return Ok((Version::new(1, 0, 0), true)) };
-    // A version that cannot be read is left where it is, and what follows it is another.
-    let Ok(existing) = load(&folder.join(newest.to_string()).join("model.json")) else {
-        return Ok((Version::new(newest.major + 1, 0, 0), true));
-    };
-    if to_json(&Model { version: newest.clone(), ..model.clone() }) == to_json(&existing) {
-        return Ok((newest, false));
+    // From the bytes, so that an error shows its line and a field that stands twice is refused.
+    let file: ModelFile = serde_json::from_slice(&bytes).map_err(|e| not_a_model(e.to_string()))?;
+    let invalid = |what| ModelError::Invalid { path: path.to_owned(), what };
+    check(&file).map_err(invalid)?;
+    let expected = digest(&file);
+    if file.digest != expected {
+        return Err(ModelError::Digest { path: path.to_owned(), found: file.digest, expected });
     }
-    let compatible = existing.features == model.features
-        && existing.scans.is_ring == model.scans.is_ring
-        && existing.classifier.learner == model.classifier.learner;
-    Ok(match compatible {
-        true => (Version::new(newest.major, newest.minor + 1, 0), true),
-        false => (Version::new(newest.major + 1, 0, 0), true),
-    })
+    from_file(file).map_err(invalid)
 }
 
 fn to_json(model: &Model) -> String {
+    json_of(&to_file(model))
+}
+
+fn json_of(file: &ModelFile) -> String {
+    let mut json = serde_json::to_string_pretty(file).expect("a model serialises into memory");
+    json.push('\n');
+    json
+}
+
+/// BLAKE3 over the file's JSON with an empty digest.
+fn digest(file: &ModelFile) -> String {
+    let file = ModelFile { digest: String::new(), ..file.clone() };
+    blake3::hash(json_of(&file).as_bytes()).to_hex().to_string()
+}
+
+fn to_file(model: &Model) -> ModelFile {
     let name = |feature: usize| model.features.names[feature].clone();
     let rounds = model
         .classifier
@@ -194,10 +281,11 @@ fn to_json(model: &Model) -> String {
             }
         })
         .collect();
-    let file = ModelFile {
+    let mut file = ModelFile {
         format_version: FORMAT_VERSION,
         name: model.name.clone(),
         version: model.version.clone(),
+        digest: String::new(),
         program_version: model.program_version.clone(),
         seed: model.seed,
         learner: model.classifier.learner,
@@ -209,80 +297,31 @@ fn to_json(model: &Model) -> String {
         operating_points: model.operating_points.clone(),
         rounds,
     };
-    let mut json = serde_json::to_string_pretty(&file).expect("a model serialises into memory");
-    json.push('\n');
-    json
+    file.digest = digest(&file);
+    file
 }
 
 fn from_file(file: ModelFile) -> Result<Model, String> {
-    check_number("features.gate_m", file.features.gate_m)?;
-    check_number("scans.range_min_m", file.scans.range_min_m)?;
-    check_number("scans.range_max_m", file.scans.range_max_m)?;
-    for (k, name) in file.features.names.iter().enumerate() {
-        if file.features.names[..k].contains(name) {
-            return Err(format!("features.names: `{name}` stands there twice"));
-        }
-    }
-    if file.rounds.is_empty() {
-        return Err("rounds: none, expected at least one".to_owned());
-    }
-    let index = |round: usize, name: &str| {
-        let index = file.features.names.iter().position(|known| known == name);
-        index
-            .ok_or_else(|| format!("rounds[{round}].feature: `{name}` is not among features.names"))
-    };
+    let index: BTreeMap<&str, usize> =
+        file.features.names.iter().zip(0..).map(|(name, k)| (name.as_str(), k)).collect();
     let rounds = file
         .rounds
         .iter()
-        .enumerate()
-        .map(|(k, round)| {
-            let number = |name: &str, value| check_number(&format!("rounds[{k}].{name}"), value);
-            let wrong_kind = |found| {
-                Err(format!("rounds[{k}].kind: `{found}` in a `{}` model", file.learner.name()))
-            };
-            match (file.learner, round) {
-                (Learner::Discrete, Round::Vote { feature, threshold, polarity, alpha }) => {
-                    number("threshold", *threshold)?;
-                    number("alpha", *alpha)?;
-                    if polarity.abs().to_bits() != 1f64.to_bits() {
-                        return Err(format!("rounds[{k}].polarity: {polarity}, expected 1 or -1"));
-                    }
-                    Ok(WeakLearner::Vote {
-                        feature: index(k, feature)?,
-                        threshold: *threshold,
-                        polarity: *polarity,
-                        alpha: *alpha,
-                    })
+        .map(|round| {
+            let feature = index[round.feature()];
+            match *round {
+                Round::Vote { threshold, polarity, alpha, .. } => {
+                    WeakLearner::Vote { feature, threshold, polarity, alpha }
                 }
-                (Learner::GentleLine, Round::Line { feature, slope, intercept }) => {
-                    number("slope", *slope)?;
-                    number("intercept", *intercept)?;
-                    Ok(WeakLearner::Line {
-                        feature: index(k, feature)?,
-                        slope: *slope,
-                        intercept: *intercept,
-                    })
+                Round::Line { slope, intercept, .. } => {
+                    WeakLearner::Line { feature, slope, intercept }
                 }
-                (Learner::GentleStump, Round::Step { feature, threshold, below, above }) => {
-                    number("threshold", *threshold)?;
-                    number("below", *below)?;
-                    number("above", *above)?;
-                    Ok(WeakLearner::Step {
-                        feature: index(k, feature)?,
-                        threshold: *threshold,
-                        below: *below,
-                        above: *above,
-                    })
+                Round::Step { threshold, below, above, .. } => {
+                    WeakLearner::Step { feature, threshold, below, above }
                 }
-                (_, Round::Vote { .. }) => wrong_kind("vote"),
-                (_, Round::Line { .. }) => wrong_kind("line"),
-                (_, Round::Step { .. }) => wrong_kind("step"),
             }
         })
-        .collect::<Result<_, _>>()?;
-    for point in &file.operating_points {
-        check_number(&format!("operating_points: threshold of `{}`", point.name), point.threshold)?;
-    }
+        .collect();
     Ok(Model {
         name: file.name,
         version: file.version,
@@ -297,6 +336,134 @@ fn from_file(file: ModelFile) -> Result<Model, String> {
         classifier: Classifier { learner: file.learner, rounds },
     })
 }
+
+impl Round {
+    fn feature(&self) -> &str {
+        match self {
+            Self::Vote { feature, .. }
+            | Self::Line { feature, .. }
+            | Self::Step { feature, .. } => feature,
+        }
+    }
+
+    fn kind(&self) -> &'static str {
+        match self {
+            Self::Vote { .. } => "vote",
+            Self::Line { .. } => "line",
+            Self::Step { .. } => "step",
+        }
+    }
+
+    /// Its numbers, by name.
+    fn numbers(&self) -> [(&'static str, f64); 3] {
+        match *self {
+            Self::Vote { threshold, polarity, alpha, .. } => {
+                [("threshold", threshold), ("polarity", polarity), ("alpha", alpha)]
+            }
+            Self::Line { slope, intercept, .. } => {
+                [("slope", slope), ("intercept", intercept), ("intercept", intercept)]
+            }
+            Self::Step { threshold, below, above, .. } => {
+                [("threshold", threshold), ("below", below), ("above", above)]
+            }
+        }
+    }
+}
+
+/// Checks every value; the error names it, what it is and what it must be.
+fn check(file: &ModelFile) -> Result<(), String> {
+    let legal = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    if file.name.is_empty() || file.name.starts_with('.') || !file.name.chars().all(legal) {
+        return Err(format!("name: `{}`, expected letters, digits, `-`, `_` and `.`", file.name));
+    }
+    let names: BTreeSet<&str> = file.features.names.iter().map(String::as_str).collect();
+    if names.len() < file.features.names.len() {
+        return Err("features.names: a name stands there twice".to_owned());
+    }
+    check_number("features.gate_m", file.features.gate_m)?;
+    if file.features.gate_m <= 0.0 {
+        return Err(format!("features.gate_m: {}, expected more than 0", file.features.gate_m));
+    }
+    check_scans(&file.scans)?;
+    check_evidence(file)?;
+    if file.rounds.is_empty() {
+        return Err("rounds: none, expected at least one".to_owned());
+    }
+    let kind = match file.learner {
+        Learner::Discrete => "vote",
+        Learner::GentleLine => "line",
+        Learner::GentleStump => "step",
+    };
+    for (k, round) in file.rounds.iter().enumerate() {
+        if round.kind() != kind {
+            let (found, learner) = (round.kind(), file.learner.name());
+            return Err(format!(
+                "rounds[{k}].kind: `{found}` in a `{learner}` model, expected `{kind}`"
+            ));
+        }
+        if !names.contains(round.feature()) {
+            let feature = round.feature();
+            return Err(format!("rounds[{k}].feature: `{feature}` is not among features.names"));
+        }
+        for (name, value) in round.numbers() {
+            check_number(&format!("rounds[{k}].{name}"), value)?;
+        }
+        if let Round::Vote { polarity, .. } = round
+            && polarity.abs().to_bits() != 1f64.to_bits()
+        {
+            return Err(format!("rounds[{k}].polarity: {polarity}, expected 1 or -1"));
+        }
+    }
+    Ok(())
+}
+
+fn check_scans(scans: &ScanSpec) -> Result<(), String> {
+    let ScanSpec { is_ring, coverage_min_deg, coverage_max_deg, range_min_m, range_max_m } = *scans;
+    let (min_deg, max_deg) = (f64::from(coverage_min_deg), f64::from(coverage_max_deg));
+    check_number("scans.coverage_min_deg", min_deg)?;
+    check_number("scans.coverage_max_deg", max_deg)?;
+    check_number("scans.range_min_m", range_min_m)?;
+    check_number("scans.range_max_m", range_max_m)?;
+    if !(0.0 <= min_deg && min_deg <= max_deg) {
+        return Err(format!(
+            "scans: coverage from {min_deg} to {max_deg} deg, expected 0 or more, ascending"
+        ));
+    }
+    if is_ring != (FULL_RING_DEG <= min_deg) {
+        return Err(format!(
+            "scans.is_ring: {is_ring} with a coverage of {min_deg} deg; a ring has {FULL_RING_DEG} or more"
+        ));
+    }
+    if !(0.0 <= range_min_m && range_min_m < range_max_m) {
+        return Err(format!(
+            "scans: ranges from {range_min_m} to {range_max_m} m, expected 0 or more, ascending"
+        ));
+    }
+    Ok(())
+}
+
+/// Rates lie between 0 and 1, thresholds are numbers.
+fn check_evidence(file: &ModelFile) -> Result<(), String> {
+    let rate = |name: &str, value: f64| match (0.0..=1.0).contains(&value) {
+        true => Ok(()),
+        false => Err(format!("{name}: {value}, expected 0 to 1")),
+    };
+    for (k, measured) in file.measured.iter().enumerate() {
+        rate(&format!("measured[{k}].error"), measured.error)?;
+        rate(&format!("measured[{k}].precision"), measured.precision.unwrap_or(0.0))?;
+        rate(&format!("measured[{k}].recall"), measured.recall)?;
+    }
+    for (k, point) in file.operating_points.iter().enumerate() {
+        check_number(&format!("operating_points[{k}].threshold"), point.threshold)?;
+        rate(&format!("operating_points[{k}].precision"), point.precision)?;
+        rate(&format!("operating_points[{k}].recall"), point.recall)?;
+        rate(&format!("operating_points[{k}].false_alarm"), point.false_alarm)?;
+    }
+    Ok(())
+}
+
+/// A closed ring sweeps at least this angle \[deg\] (DESIGN, "The 16 features").
+const FULL_RING_DEG: f64 = 355.0;
 
 fn check_number(name: &str, value: f64) -> Result<(), String> {
     if value.is_finite() {

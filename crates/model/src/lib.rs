@@ -2,16 +2,24 @@
 //!
 //! Invariant: no Arrow, no Parquet, no MCAP; this crate also runs on a robot.
 
+mod card;
 mod classifier;
 mod file;
+#[cfg(feature = "onnx")]
+mod onnx;
 
 use std::collections::BTreeMap;
 
 use semver::Version;
 use serde::{Deserialize, Serialize};
 
+pub use card::card;
 pub use classifier::{Classifier, Learner, WeakLearner};
-pub use file::{ModelError, load, next_version, save};
+#[cfg(feature = "schema")]
+pub use file::schema;
+pub use file::{ModelError, Saved, load, save};
+#[cfg(feature = "onnx")]
+pub use onnx::to_onnx;
 
 /// Version of the layout of `model.json`; a file of another version is not read.
 pub const FORMAT_VERSION: u32 = 1;
@@ -21,7 +29,7 @@ pub const FORMAT_VERSION: u32 = 1;
 pub struct Model {
     /// Name, the folder above the version's.
     pub name: String,
-    /// Major: another feature set or scan spec; minor: trained again; patch: metadata.
+    /// Major: other features, scans or another learner; minor: trained again; patch: metadata.
     pub version: Version,
     /// Version of the program that trained it.
     pub program_version: String,
@@ -45,6 +53,7 @@ pub struct Model {
 
 /// The features that a model wants.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FeatureSpec {
     /// Name of the feature set.
@@ -59,6 +68,7 @@ pub struct FeatureSpec {
 
 /// The scans that a model was trained on.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct ScanSpec {
     /// Whether the scans are closed rings (355 deg or more).
@@ -75,6 +85,7 @@ pub struct ScanSpec {
 
 /// What a model was trained on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Training {
     /// Positive pairs.
@@ -87,6 +98,7 @@ pub struct Training {
 
 /// Cross-validated errors at the model's last round and threshold 0.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Measured {
     /// What was kept together on one side of a fold.
@@ -98,6 +110,7 @@ pub struct Measured {
     /// Share of the pairs given the wrong label.
     pub error: f64,
     /// Share of positives among the pairs called positive; none where no pair is called so.
+    #[serde(deserialize_with = "Option::deserialize")]
     pub precision: Option<f64>,
     /// Share of the positives that are called positive.
     pub recall: f64,
@@ -105,6 +118,7 @@ pub struct Measured {
 
 /// A threshold with a name, and what cross-validation measured there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct OperatingPoint {
     /// What the threshold is chosen for, such as `recall at 100 % precision`.
@@ -121,7 +135,23 @@ pub struct OperatingPoint {
     pub false_alarm: f64,
 }
 
+impl Model {
+    /// Whether `other` is this model trained again: the same features, kind of scans and learner.
+    fn is_retrained_as(&self, other: &Self) -> bool {
+        self.features == other.features
+            && self.scans.is_same_kind(&other.scans)
+            && self.classifier.learner == other.classifier.learner
+    }
+}
+
 impl ScanSpec {
+    /// Whether features of the two kinds of scans compare.
+    fn is_same_kind(&self, other: &Self) -> bool {
+        self.is_ring == other.is_ring
+            && self.range_min_m.total_cmp(&other.range_min_m).is_eq()
+            && self.range_max_m.total_cmp(&other.range_max_m).is_eq()
+    }
+
     /// Refuses a scan that the model was not made for, saying which.
     pub fn check(&self, coverage_deg: f32, is_ring: bool) -> Result<(), ModelError> {
         if is_ring == self.is_ring {

@@ -29,6 +29,7 @@ pub use walls::{Point, Segment};
 
 /// What to simulate; the `[simulate]` section of a pipeline file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "SimulateOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
     /// Names of the logs, the stems of their files. Each is a drive on a day of its own through
@@ -79,6 +80,7 @@ impl Default for Options {
 
 /// Which lasers of the HDL-32E return anything.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Lasers {
     /// The horizontal one, 15, and its neighbours in firing order, 14 and 16, which look down:
@@ -91,6 +93,7 @@ pub enum Lasers {
 
 /// How messages are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Encoding {
     /// ROS 2: CDR, schemas as `ros2msg`.
@@ -102,6 +105,7 @@ pub enum Encoding {
 
 /// How chunks are compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Compression {
     /// Zstandard.

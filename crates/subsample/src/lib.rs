@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 /// The section `[subsample]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "SubsampleOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
     /// Straight-line distance from one keyframe to the next \[m\].

@@ -19,6 +19,7 @@ pub use matrix::Matrix;
 
 /// The section `[train]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "TrainOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
     /// Which learners; each gives a model of its own.

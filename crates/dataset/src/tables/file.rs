@@ -2,7 +2,7 @@
 
 use std::ffi::OsString;
 use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use arrow_array::RecordBatch;
@@ -57,11 +57,30 @@ fn partial_path(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
+/// Whether a file is one that [`write_atomically`] had not finished.
+pub fn is_partial(path: &Path) -> bool {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    name.starts_with('.') && name.ends_with(".partial")
+}
+
+/// Bytes of a file that are hashed at a time.
+const DIGEST_BLOCK_BYTES: usize = 8 << 20;
+
 /// BLAKE3 digest of a file's bytes, hex.
 pub fn digest_file(path: &Path) -> Result<String> {
     let io = |source| TableError::Io { action: "read", path: path.to_owned(), source };
     let mut hasher = blake3::Hasher::new();
-    hasher.update_reader(File::open(path).map_err(io)?).map_err(io)?;
+    // In blocks, so that memory does not grow with the file; each block with all threads.
+    let mut file = File::open(path).map_err(io)?;
+    let mut block = Vec::with_capacity(DIGEST_BLOCK_BYTES);
+    loop {
+        block.clear();
+        let block_bytes = DIGEST_BLOCK_BYTES as u64;
+        if (&mut file).take(block_bytes).read_to_end(&mut block).map_err(io)? == 0 {
+            break;
+        }
+        hasher.update_rayon(&block);
+    }
     Ok(hasher.finalize().to_hex().to_string())
 }
 
@@ -113,6 +132,17 @@ pub(super) fn unreadable(path: &Path, kind: &str, error: impl std::fmt::Display)
         detail: error.to_string(),
         command: command_for(kind),
     }
+}
+
+/// Reads the kind and the provenance of a table of any kind.
+pub fn read_provenance(path: &Path) -> Result<(String, Provenance)> {
+    let io = |source| TableError::Io { action: "read", path: path.to_owned(), source };
+    let file = File::open(path).map_err(io)?;
+    let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
+        .map_err(|e| unreadable(path, "", e))?;
+    let entries = metadata.metadata().file_metadata().key_value_metadata();
+    Provenance::from_entries(|key| entries?.iter().find(|entry| entry.key == key)?.value.clone())
+        .ok_or_else(|| unreadable(path, "", "it carries no provenance of loopboost"))
 }
 
 /// Opens a table and checks that it is of the kind and the format version that we read.

@@ -24,10 +24,12 @@ mod scores;
 
 use std::path::PathBuf;
 
-pub use file::{digest_file, read_table, write_atomically, write_table};
+pub use file::{
+    digest_file, is_partial, read_provenance, read_table, write_atomically, write_table,
+};
 pub use nouns::{
-    FeatureTable, batch, read_features, read_keyframes, read_pairs, read_poses, write_features,
-    write_keyframes, write_pairs, write_poses,
+    FeatureTable, batch, floats, read_features, read_keyframes, read_pairs, read_poses, strings,
+    write_features, write_keyframes, write_pairs, write_poses,
 };
 pub use provenance::{FORMAT_VERSION, Provenance};
 pub use scores::{read_rounds, read_scores, write_rounds, write_scores};
@@ -44,7 +46,7 @@ pub enum TableError {
         command: String,
     },
     /// The system refused.
-    #[error("cannot {action} {path}: {source}")]
+    #[error("cannot {action} {path}")]
     Io {
         /// "read", "write", ...
         action: &'static str,
@@ -122,7 +124,8 @@ fn command_for(kind: &str) -> String {
         "pairs" => "label",
         "features" => "featurize",
         "scores" | "rounds" => "train",
-        _ => "evaluate",
+        "errors" | "precision_recall" | "selection" | "mistakes" => "evaluate",
+        _ => "run",
     };
     format!("loopboost {stage} PIPELINE.toml --out DIR")
 }

@@ -29,11 +29,13 @@ pub fn batch(columns: Vec<(&str, ArrayRef)>, nullable: &[&str]) -> RecordBatch {
         .expect("columns are of one length and without stray nulls")
 }
 
-pub(super) fn strings<'a>(values: impl Iterator<Item = &'a str>) -> ArrayRef {
+/// A column of texts.
+pub fn strings<'a>(values: impl Iterator<Item = &'a str>) -> ArrayRef {
     Arc::new(values.map(Some).collect::<StringArray>())
 }
 
-fn floats(values: impl Iterator<Item = f64>) -> ArrayRef {
+/// A column of numbers.
+pub fn floats(values: impl Iterator<Item = f64>) -> ArrayRef {
     Arc::new(Float64Array::from_iter_values(values))
 }
 

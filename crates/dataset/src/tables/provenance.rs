@@ -35,7 +35,12 @@ pub struct Provenance {
 
 impl Provenance {
     pub(super) fn to_metadata(&self, kind: &str) -> Vec<KeyValue> {
-        let entry = |key: &str, value: String| KeyValue::new(format!("loopboost.{key}"), value);
+        self.entries(kind).into_iter().map(|(key, value)| KeyValue::new(key, value)).collect()
+    }
+
+    /// Keys and values as an artifact of a kind carries them.
+    pub fn entries(&self, kind: &str) -> Vec<(String, String)> {
+        let entry = |key: &str, value: String| (format!("loopboost.{key}"), value);
         vec![
             entry("kind", kind.to_owned()),
             entry("format_version", FORMAT_VERSION.to_string()),
@@ -45,6 +50,12 @@ impl Provenance {
             entry("inputs", serde_json::json!(self.inputs).to_string()),
             entry("dropped", serde_json::json!(self.dropped).to_string()),
         ]
+    }
+
+    /// Kind and provenance from the keys and values of an artifact; none where one is missing.
+    pub fn from_entries(get: impl Fn(&str) -> Option<String>) -> Option<(String, Self)> {
+        let of = |key: &str| get(&format!("loopboost.{key}"));
+        Some((of("kind")?, Self::from_metadata(of)?))
     }
 
     /// Reads everything but kind and format version, which the caller has checked.

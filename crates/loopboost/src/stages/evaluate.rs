@@ -4,32 +4,43 @@ use anyhow::Result;
 use dataset::Dropped;
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{
-    TableError, read_keyframes, read_pairs, read_rounds, read_scores, write_atomically,
+    Provenance, TableError, read_keyframes, read_pairs, read_rounds, read_scores, write_atomically,
 };
 use evaluate::{Evaluation, Fact, Input};
 
-use crate::run::Run;
+use crate::config::Config;
+use crate::run::{Done, Run, Task};
 
-/// Scores -> evaluation/*.parquet, report.html
+const INPUTS: [&str; 4] =
+    ["keyframes.parquet", "pairs.parquet", "scores.parquet", "rounds.parquet"];
+
+/// Scores -> evaluation/, report.html
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let inputs = ["keyframes.parquet", "pairs.parquet", "scores.parquet", "rounds.parquet"]
-        .map(|name| run.path(name));
-    let (keyframes, of_keyframes) = read_keyframes(&inputs[0])?;
-    let (pairs, _) = read_pairs(&inputs[1], &keyframes)?;
-    let (scores, _) = read_scores(&inputs[2], &pairs)?;
-    let (rounds, _) = read_rounds(&inputs[3])?;
+    let task = Task {
+        stage: "evaluate",
+        log: None,
+        // The report shows them all.
+        options: &run.config,
+        inputs: INPUTS.map(|name| run.path(name)).into(),
+    };
+    run.task(&task, |provenance| evaluate(run, &provenance))
+}
+
+fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
+    let [keyframes, pairs, scores, rounds] = INPUTS.map(|name| run.path(name));
+    let (keyframes, of_keyframes) = read_keyframes(&keyframes)?;
+    let (pairs, _) = read_pairs(&pairs, &keyframes)?;
+    let (scores, _) = read_scores(&scores, &pairs)?;
+    let (rounds, _) = read_rounds(&rounds)?;
     let mut dropped = of_keyframes.dropped;
     let mut facts = Vec::new();
     for log in run.logs()? {
         let (_, of_scans) = read_scan_headers(&run.scans(&log.name))?;
         dropped.merge(of_scans.dropped);
-        facts.extend(
-            of_scans
-                .inputs
-                .into_iter()
-                .map(|(log, digest)| fact(&format!("BLAKE3 of {log}"), digest)),
-        );
+        let digests = of_scans.inputs.into_iter();
+        facts.extend(digests.map(|(log, digest)| fact(&format!("BLAKE3 of {log}"), digest)));
     }
+    facts.extend(options(&run.config)?);
 
     let input = Input {
         keyframes: &keyframes,
@@ -39,12 +50,11 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
         dropped: &dropped,
     };
     let evaluation = evaluate::evaluate(&input);
-    let provenance = run.provenance(&run.config.evaluate, &inputs, Dropped::default())?;
-    evaluate::write_tables(&run.path("evaluation"), &provenance, &input, &evaluation)?;
-
-    facts.extend(options(run)?);
-    let html = evaluate::report(&run.config.name, &input, &evaluation, &facts);
+    let mut done = Done { said: said(run, &evaluation), ..Done::default() };
+    done.outputs =
+        evaluate::write_tables(&run.path("evaluation"), provenance, &input, &evaluation)?;
     let path = run.path("report.html");
+    let html = evaluate::report(&run.config.name, &input, &evaluation, &facts, provenance);
     write_atomically(&path, |mut file| {
         file.write_all(html.as_bytes()).map_err(|source| TableError::Io {
             action: "write",
@@ -53,13 +63,13 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
         })?;
         Ok::<_, TableError>((file, ()))
     })?;
-    say_errors(run, &evaluation);
-    run.say("evaluate", format!("report: {}", path.display()));
-    Ok(Dropped::default())
+    done.said.push("report.html".to_owned());
+    done.outputs.push(path);
+    Ok(done)
 }
 
-fn say_errors(run: &Run, evaluation: &Evaluation) {
-    for curve in &evaluation.precision_recall {
+fn said(run: &Run, evaluation: &Evaluation) -> Vec<String> {
+    let of_curve = |curve: &evaluate::PrCurve| {
         let error_at = |rounds: usize| {
             let row = evaluation.errors.iter().find(|row| {
                 row.learner == curve.learner
@@ -69,21 +79,18 @@ fn say_errors(run: &Run, evaluation: &Evaluation) {
             row.map_or(f64::NAN, |row| row.confusion.error() * 100.0)
         };
         let (few, all) = (curve.rounds, run.config.train.rounds as usize);
-        run.say(
-            "evaluate",
-            format!(
-                "{} by {}: error {:.1} % at T = {few}, {:.1} % at T = {all}",
-                curve.learner,
-                curve.grouping,
-                error_at(few),
-                error_at(all)
-            ),
-        );
-    }
+        format!(
+            "{} by {}: error {:.1} % at T = {few}, {:.1} % at T = {all}",
+            curve.learner,
+            curve.grouping,
+            error_at(few),
+            error_at(all)
+        )
+    };
+    evaluation.precision_recall.iter().map(of_curve).collect()
 }
 
-fn options(run: &Run) -> Result<Vec<Fact>> {
-    let config = &run.config;
+fn options(config: &Config) -> Result<Vec<Fact>> {
     Ok(vec![
         fact("program", format!("loopboost {}", env!("CARGO_PKG_VERSION"))),
         fact("seed", config.seed.to_string()),

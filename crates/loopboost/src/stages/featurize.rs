@@ -1,27 +1,36 @@
 use anyhow::{Context, Result, anyhow};
 use dataset::tables::scans::read_scans;
-use dataset::tables::{FeatureTable, read_keyframes, write_features};
+use dataset::tables::{FeatureTable, Provenance, read_keyframes, write_features};
 use dataset::{Dropped, Keyframe};
 use featurize::Paper16;
 use rayon::prelude::*;
 
-use crate::run::Run;
+use crate::run::{Done, Run, Task};
 
 /// Keyframes -> features.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
+    let scans = run.logs()?.into_iter().map(|log| run.scans(&log.name));
+    let task = Task {
+        stage: "featurize",
+        log: None,
+        options: &run.config.featurize,
+        inputs: [run.path("keyframes.parquet")].into_iter().chain(scans).collect(),
+    };
+    run.task(&task, |provenance| featurize(run, &provenance))
+}
+
+fn featurize(run: &Run, provenance: &Provenance) -> Result<Done> {
     let options = &run.config.featurize;
-    let keyframes_path = run.path("keyframes.parquet");
-    let (keyframes, _) = read_keyframes(&keyframes_path)?;
+    let (keyframes, _) = read_keyframes(&run.path("keyframes.parquet"))?;
     check_one_kind_of_scan(&keyframes)?;
     let names = options.set.feature_names();
     let mut values = vec![0.0; keyframes.len() * names.len()];
-    let mut inputs = vec![keyframes_path];
+    let mut first = 0;
     for of_log in keyframes.chunk_by(|a, b| a.id.log == b.id.log) {
-        let log = &of_log[0].id.log;
-        let path = run.scans(log);
+        let path = run.scans(&of_log[0].id.log);
         // Keyframes are in order of time, rows of the table in order of the log.
-        let first = keyframes.iter().position(|k| k.id.log == *log).unwrap_or(0);
         let mut rows: Vec<(u32, usize)> = of_log.iter().map(|k| k.id.scan).zip(first..).collect();
+        first += of_log.len();
         rows.sort_unstable();
         let scans: Vec<u32> = rows.iter().map(|&(scan, _)| scan).collect();
         let mut rows = rows.iter();
@@ -36,25 +45,21 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
             }
             anyhow::Ok(())
         })?;
-        inputs.push(path);
     }
     let table = FeatureTable {
         names: names.iter().map(|&name| name.to_owned()).collect(),
         ids: keyframes.iter().map(|k| k.id.clone()).collect(),
         values,
     };
-    let provenance = run.provenance(options, &inputs, Dropped::default())?;
-    write_features(&run.path("features.parquet"), &provenance, &table)?;
-    run.say(
-        "featurize",
-        format!(
-            "{} features ({}) of {} keyframes",
-            names.len(),
-            options.set.name(),
-            keyframes.len()
-        ),
+    let path = run.path("features.parquet");
+    write_features(&path, provenance, &table)?;
+    let said = format!(
+        "{} features ({}) of {} keyframes",
+        names.len(),
+        options.set.name(),
+        keyframes.len()
     );
-    Ok(Dropped::default())
+    Ok(Done { outputs: vec![path], said: vec![said], ..Done::default() })
 }
 
 /// Features of a ring and of a part of the circle do not compare.

@@ -1,29 +1,41 @@
 use anyhow::Result;
 use dataset::Dropped;
 use dataset::tables::scans::write_scans;
-use dataset::tables::write_poses;
+use dataset::tables::{Provenance, write_poses};
 use ingest::{Log, Options};
 
-use crate::run::{LogFile, Run, progress_bar};
+use crate::config::LogOptions;
+use crate::run::{Done, LogFile, Run, Task, progress_bar};
 
 /// Logs -> scans/LOG.parquet, poses/LOG.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let mut dropped = Dropped::default();
     for log in run.logs()? {
-        dropped.merge(ingest_log(run, &log)?);
+        let task = Task {
+            stage: "ingest",
+            log: Some(log.name.clone()),
+            // The site is a matter of `subsample`.
+            options: LogOptions { site: None, ..run.config.for_log(&log.name)? },
+            inputs: vec![log.path.clone()],
+        };
+        dropped
+            .merge(run.task(&task, |provenance| ingest_log(run, &log, &task.options, provenance))?);
     }
     Ok(dropped)
 }
 
-fn ingest_log(run: &Run, file: &LogFile) -> Result<Dropped> {
-    let options = run.config.for_log(&file.name)?;
+fn ingest_log(
+    run: &Run,
+    file: &LogFile,
+    options: &LogOptions,
+    provenance: Provenance,
+) -> Result<Done> {
     let log = Log::open(&file.path)?;
-    let provenance =
-        run.provenance(&options, std::slice::from_ref(&file.path), Dropped::default())?;
-    let options = Options { lidar: options.lidar, pose: options.pose };
+    let options = Options { lidar: options.lidar.clone(), pose: options.pose.clone() };
     let progress = progress_bar(log.bytes().len() as u64, format!("ingest {}", file.name), true);
+    let (scans, poses) = (run.scans(&file.name), run.poses(&file.name));
 
-    let ingested = write_scans(&run.scans(&file.name), &provenance, &file.name, |writer| {
+    let ingested = write_scans(&scans, &provenance, &file.name, |writer| {
         let ingested = ingest::ingest(
             &log,
             &options,
@@ -34,15 +46,13 @@ fn ingest_log(run: &Run, file: &LogFile) -> Result<Dropped> {
         anyhow::Ok(ingested)
     })?;
     progress.finish_and_clear();
-    write_poses(&run.poses(&file.name), &provenance, &file.name, &ingested.trajectory)?;
-    run.say(
-        "ingest",
-        format!(
-            "{}: {} scans, {} poses",
-            file.name,
-            ingested.n_scans,
-            ingested.trajectory.poses().len()
-        ),
+    let provenance = Provenance { dropped: ingested.dropped.clone(), ..provenance };
+    write_poses(&poses, &provenance, &file.name, &ingested.trajectory)?;
+    let said = format!(
+        "{}: {} scans, {} poses",
+        file.name,
+        ingested.n_scans,
+        ingested.trajectory.poses().len()
     );
-    Ok(ingested.dropped)
+    Ok(Done { outputs: vec![scans, poses], dropped: ingested.dropped, said: vec![said] })
 }

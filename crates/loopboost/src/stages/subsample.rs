@@ -1,21 +1,51 @@
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use anyhow::Result;
 use dataset::Dropped;
 use dataset::tables::scans::read_scan_headers;
-use dataset::tables::{read_poses, write_keyframes};
+use dataset::tables::{Provenance, read_poses, write_keyframes};
+use serde::Serialize;
 use subsample::Candidate;
 
-use crate::run::Run;
+use crate::run::{Done, LogFile, Run, Task};
+
+/// `[subsample]`, and the site of each log.
+#[derive(Serialize)]
+struct Options {
+    #[serde(flatten)]
+    subsample: subsample::Options,
+    sites: BTreeMap<Arc<str>, Arc<str>>,
+}
 
 /// Scans and poses -> keyframes.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
+    let logs = run.logs()?;
+    let site = |log: &LogFile| -> Result<(Arc<str>, Arc<str>)> {
+        let site = run.config.for_log(&log.name)?.site;
+        Ok((log.name.clone(), site.map_or(log.name.clone(), Arc::from)))
+    };
+    let task = Task {
+        stage: "subsample",
+        log: None,
+        options: Options {
+            subsample: run.config.subsample.clone(),
+            sites: logs.iter().map(site).collect::<Result<_>>()?,
+        },
+        inputs: logs.iter().flat_map(|log| [run.scans(&log.name), run.poses(&log.name)]).collect(),
+    };
+    run.task(&task, |provenance| subsample(run, &logs, &task.options, provenance))
+}
+
+fn subsample(
+    run: &Run,
+    logs: &[LogFile],
+    options: &Options,
+    provenance: Provenance,
+) -> Result<Done> {
+    let mut done = Done::default();
     let mut keyframes = Vec::new();
-    let mut dropped = Dropped::default();
-    let mut inputs = Vec::new();
-    for log in run.logs()? {
-        let site: Arc<str> =
-            run.config.for_log(&log.name)?.site.map_or(log.name.clone(), Arc::from);
+    for log in logs {
         let (headers, _) = read_scan_headers(&run.scans(&log.name))?;
         let (trajectory, _) = read_poses(&run.poses(&log.name))?;
         let candidates: Vec<Candidate> = headers
@@ -28,27 +58,24 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
                 usable: header.usable,
             })
             .collect();
-        let (of_log, dropped_of_log) = subsample::subsample(
-            &run.config.subsample,
-            &log.name,
-            &site,
-            &candidates,
-            &trajectory,
-        )?;
-        run.say(
-            "subsample",
-            format!(
-                "{}: {} keyframes along {:.0} m",
-                log.name,
-                of_log.len(),
-                of_log.last().map_or(0.0, |k| k.travel_m)
-            ),
-        );
+        let site = &options.sites[&log.name];
+        let (of_log, dropped) =
+            subsample::subsample(&options.subsample, &log.name, site, &candidates, &trajectory)?;
+        done.said.push(format!(
+            "{}: {} keyframes along {:.0} m",
+            log.name,
+            of_log.len(),
+            of_log.last().map_or(0.0, |k| k.travel_m)
+        ));
         keyframes.extend(of_log);
-        dropped.merge(dropped_of_log);
-        inputs.extend([run.scans(&log.name), run.poses(&log.name)]);
+        done.dropped.merge(dropped);
     }
-    let provenance = run.provenance(&run.config.subsample, &inputs, dropped.clone())?;
-    write_keyframes(&run.path("keyframes.parquet"), &provenance, &keyframes)?;
-    Ok(dropped)
+    let path = run.path("keyframes.parquet");
+    write_keyframes(
+        &path,
+        &Provenance { dropped: done.dropped.clone(), ..provenance },
+        &keyframes,
+    )?;
+    done.outputs.push(path);
+    Ok(done)
 }

@@ -1,71 +1,115 @@
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{
-    FeatureTable, digest_file, read_features, read_keyframes, read_pairs, write_rounds,
-    write_scores,
+    FeatureTable, Provenance, read_features, read_keyframes, read_pairs, write_rounds, write_scores,
 };
 use dataset::{BoostingRound, Dropped, FULL_RING_DEG, Keyframe, Label, Pair, Scores};
 use evaluate::{Confusion, operating_points};
+use ingest::LidarOptions;
 use model::{FeatureSpec, Learner, Measured, Model, OperatingPoint, ScanSpec, Training};
 use rayon::prelude::*;
+use serde::Serialize;
 use train::{CrossValidated, Matrix, Round};
 
-use crate::run::Run;
+use crate::config::EvaluateSection;
+use crate::run::{Done, Run, Task};
+
+/// All options that the models depend on or carry.
+#[derive(Serialize)]
+struct Options<'a> {
+    name: &'a str,
+    train: &'a train::Options,
+    evaluate: &'a EvaluateSection,
+    label: &'a label::Options,
+    featurize: &'a featurize::Options,
+    lidars: BTreeMap<Arc<str>, LidarOptions>,
+}
 
 /// Pairs and features -> models/, scores.parquet, rounds.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let inputs =
-        ["keyframes.parquet", "pairs.parquet", "features.parquet"].map(|name| run.path(name));
-    let (keyframes, _) = read_keyframes(&inputs[0])?;
-    let (pairs, _) = read_pairs(&inputs[1], &keyframes)?;
-    let (features, _) = read_features(&inputs[2])?;
-    check_features(run, &keyframes, &features)?;
+    let config = &run.config;
+    let lidars = run.logs()?.into_iter().map(|log| {
+        let options = config.for_log(&log.name)?;
+        Ok((log.name, options.lidar))
+    });
+    let task = Task {
+        stage: "train",
+        log: None,
+        options: Options {
+            name: &config.name,
+            train: &config.train,
+            evaluate: &config.evaluate,
+            label: &config.label,
+            featurize: &config.featurize,
+            lidars: lidars.collect::<Result<_>>()?,
+        },
+        inputs: INPUTS.map(|name| run.path(name)).into(),
+    };
+    run.task(&task, |provenance| train(run, &task.options, &provenance))
+}
+
+const INPUTS: [&str; 3] = ["keyframes.parquet", "pairs.parquet", "features.parquet"];
+
+fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Done> {
+    let [keyframes, pairs, features] = INPUTS.map(|name| run.path(name));
+    let (keyframes, _) = read_keyframes(&keyframes)?;
+    let (pairs, _) = read_pairs(&pairs, &keyframes)?;
+    let (features, _) = read_features(&features)?;
+    check_features(options.featurize, &keyframes, &features)?;
     let data = matrix(&pairs, &features);
-    let groupings = run
-        .config
+    let n_folds = options.evaluate.folds;
+    let groupings = options
         .evaluate
         .groupings
         .iter()
         .map(|&grouping| {
-            let n_folds = run.config.evaluate.folds;
             let folds = label::folds(grouping, n_folds, run.config.seed, &keyframes, &pairs)?;
             Ok((grouping.name(), folds))
         })
         .collect::<Result<Vec<_>>>()?;
 
-    let fitted = run
-        .config
+    let fitted = options
         .train
         .learners
         .par_iter()
-        .map(|&learner| fit(run, learner, &data, &groupings))
+        .map(|&learner| fit(options, learner, &data, &groupings))
         .collect::<Result<Vec<_>>>()?;
     let names = &features.names;
     let scores: Vec<Scores> = fitted.iter().flat_map(|f| f.scores.iter().cloned()).collect();
     let rounds: Vec<BoostingRound> = fitted.iter().flat_map(|f| f.boosting_rounds(names)).collect();
-    let options = serde_json::json!({"train": run.config.train, "evaluate": run.config.evaluate});
-    let provenance = run.provenance(&options, &inputs, Dropped::default())?;
-    write_scores(&run.path("scores.parquet"), &provenance, &keyframes, &pairs, &scores)?;
-    write_rounds(&run.path("rounds.parquet"), &provenance, &rounds)?;
+    let mut done = Done {
+        outputs: vec![run.path("scores.parquet"), run.path("rounds.parquet")],
+        ..Done::default()
+    };
+    write_scores(&done.outputs[0], provenance, &keyframes, &pairs, &scores)?;
+    write_rounds(&done.outputs[1], provenance, &rounds)?;
 
     let context = Context {
-        scans: scan_spec(run, &keyframes)?,
-        training: training(run, &pairs, &inputs)?,
-        label_options: serde_json::to_value(&run.config.label)?,
+        seed: run.config.seed,
+        scans: scan_spec(options, &keyframes),
+        training: training(run, &pairs, provenance)?,
+        label_options: serde_json::to_value(options.label)?,
         features: FeatureSpec {
-            set: run.config.featurize.set.name().to_owned(),
-            version: run.config.featurize.set.version(),
-            gate_m: run.config.featurize.gate_m,
+            set: options.featurize.set.name().to_owned(),
+            version: options.featurize.set.version(),
+            gate_m: options.featurize.gate_m,
             names: names.clone(),
         },
     };
     for fitted in &fitted {
-        save(run, fitted, &data, &context)?;
+        let model = model_of(options, fitted, &data, &context);
+        let folder = model::save(&run.path("models"), &model)?;
+        let error = model.measured.first().map_or(f64::NAN, |m| m.error * 100.0);
+        done.said.push(format!(
+            "{} {}: error {error:.1} % at T = {}",
+            model.name, folder.version, options.train.rounds
+        ));
+        done.outputs.extend(folder.files);
     }
-    Ok(Dropped::default())
+    Ok(done)
 }
 
 /// One learner, fitted on all pairs and on the folds of each grouping.
@@ -77,18 +121,17 @@ struct Fitted {
 }
 
 fn fit(
-    run: &Run,
+    options: &Options<'_>,
     learner: Learner,
     data: &Matrix,
     groupings: &[(&'static str, Vec<u32>)],
 ) -> Result<Fitted> {
-    let n_rounds = run.config.train.rounds;
+    let n_rounds = options.train.rounds;
     let rounds = train::fit(learner, n_rounds, data)?;
     let mut cross_validated = Vec::new();
     let mut scores = Vec::new();
     for (grouping, folds) in groupings {
-        let result =
-            train::cross_validate(learner, n_rounds, data, folds, run.config.evaluate.folds)?;
+        let result = train::cross_validate(learner, n_rounds, data, folds, options.evaluate.folds)?;
         scores.push(Scores {
             learner: learner.name().to_owned(),
             grouping: (*grouping).to_owned(),
@@ -127,13 +170,14 @@ impl Fitted {
 
 /// What all models of a run share.
 struct Context {
+    seed: u64,
     scans: ScanSpec,
     training: Training,
     label_options: serde_json::Value,
     features: FeatureSpec,
 }
 
-fn save(run: &Run, fitted: &Fitted, data: &Matrix, context: &Context) -> Result<()> {
+fn model_of(options: &Options<'_>, fitted: &Fitted, data: &Matrix, context: &Context) -> Model {
     let mut measured = Vec::new();
     let mut points = Vec::new();
     for scores in &fitted.scores {
@@ -141,7 +185,7 @@ fn save(run: &Run, fitted: &Fitted, data: &Matrix, context: &Context) -> Result<
         let counts = Confusion::count(data.labels(), confidences.iter().copied(), 0.0);
         measured.push(Measured {
             grouping: scores.grouping.clone(),
-            folds: run.config.evaluate.folds,
+            folds: options.evaluate.folds,
             rounds: scores.n_rounds as u32,
             error: counts.error(),
             precision: counts.precision(),
@@ -159,11 +203,12 @@ fn save(run: &Run, fitted: &Fitted, data: &Matrix, context: &Context) -> Result<
             });
         }
     }
-    let mut model = Model {
-        name: format!("{}-{}", run.config.name, fitted.learner.name()),
+    Model {
+        name: format!("{}-{}", options.name, fitted.learner.name()),
+        // `save` gives the version.
         version: semver::Version::new(1, 0, 0),
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
-        seed: run.config.seed,
+        seed: context.seed,
         features: context.features.clone(),
         scans: context.scans,
         label_options: context.label_options.clone(),
@@ -171,26 +216,7 @@ fn save(run: &Run, fitted: &Fitted, data: &Matrix, context: &Context) -> Result<
         measured,
         operating_points: points,
         classifier: train::classifier(fitted.learner, &fitted.rounds),
-    };
-    let models = run.path("models");
-    let (version, is_new) = model::next_version(&models, &model)?;
-    model.version = version;
-    if is_new {
-        model::save(&models, &model)?;
     }
-    let error = model.measured.first().map_or(f64::NAN, |m| m.error);
-    run.say(
-        "train",
-        format!(
-            "{} {}{}: error {:.1} % at T = {}",
-            model.name,
-            model.version,
-            if is_new { "" } else { " (unchanged)" },
-            error * 100.0,
-            run.config.train.rounds
-        ),
-    );
-    Ok(())
 }
 
 /// The absolute feature differences of each pair.
@@ -212,50 +238,45 @@ fn matrix(pairs: &[Pair], features: &FeatureTable) -> Matrix {
 }
 
 /// Rows of the features must be the keyframes, and its columns the set that is asked for.
-fn check_features(run: &Run, keyframes: &[Keyframe], features: &FeatureTable) -> Result<()> {
+fn check_features(
+    options: &featurize::Options,
+    keyframes: &[Keyframe],
+    features: &FeatureTable,
+) -> Result<()> {
     let again = "make the features again with `loopboost featurize PIPELINE.toml --out DIR`";
     if !features.ids.iter().eq(keyframes.iter().map(|k| &k.id)) {
         return Err(anyhow!("features.parquet is not of these keyframes; {again}"));
     }
-    let expected = run.config.featurize.set.feature_names();
-    if features.names != expected {
+    if features.names != options.set.feature_names() {
         return Err(anyhow!(
             "features.parquet has the columns {}, expected those of `{}`; {again}",
             features.names.join(", "),
-            run.config.featurize.set.name()
+            options.set.name()
         ));
     }
     Ok(())
 }
 
-fn scan_spec(run: &Run, keyframes: &[Keyframe]) -> Result<ScanSpec> {
+fn scan_spec(options: &Options<'_>, keyframes: &[Keyframe]) -> ScanSpec {
     let coverage = keyframes.iter().map(|k| k.coverage_deg);
     let (min, max) = coverage.fold((f32::INFINITY, 0f32), |(a, b), c| (a.min(c), b.max(c)));
-    let limits = run
-        .logs()?
-        .iter()
-        .map(|log| Ok(run.config.for_log(&log.name)?.lidar))
-        .collect::<Result<Vec<_>>>()?;
     // Of logs with limits of their own, the widest.
-    Ok(ScanSpec {
+    let lidars = options.lidars.values();
+    ScanSpec {
         is_ring: FULL_RING_DEG <= min,
         coverage_min_deg: min,
         coverage_max_deg: max,
-        range_min_m: limits.iter().map(|l| l.range_min_m).fold(f64::INFINITY, f64::min),
-        range_max_m: limits.iter().map(|l| l.range_max_m).fold(0.0, f64::max),
-    })
+        range_min_m: lidars.clone().map(|l| l.range_min_m).fold(f64::INFINITY, f64::min),
+        range_max_m: lidars.map(|l| l.range_max_m).fold(0.0, f64::max),
+    }
 }
 
 /// Counts, and the digests of the training tables and, by the scans made of them, of the logs.
-fn training(run: &Run, pairs: &[Pair], tables: &[PathBuf]) -> Result<Training> {
-    let mut digests = BTreeMap::new();
-    for table in tables {
-        let name = table.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        digests.insert(name, digest_file(table)?);
-    }
+fn training(run: &Run, pairs: &[Pair], provenance: &Provenance) -> Result<Training> {
+    let mut digests = provenance.inputs.clone();
     for log in run.logs()? {
-        let (_, provenance) = read_scan_headers(&run.scans(&log.name))?;
-        digests.extend(provenance.inputs);
+        let (_, of_scans) = read_scan_headers(&run.scans(&log.name))?;
+        digests.extend(of_scans.inputs);
     }
     let count = |label| pairs.iter().filter(|pair| pair.label == label).count();
     Ok(Training { n_positive: count(Label::Positive), n_negative: count(Label::Negative), digests })

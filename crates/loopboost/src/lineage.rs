@@ -1,0 +1,174 @@
+//! `log` and `verify`: where artifacts come from, and whether that still holds.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow};
+use dataset::tables::{Provenance, digest_file, read_provenance};
+
+use crate::config::Config;
+use crate::manifest::Manifest;
+
+/// Prints an artifact's ancestry as a tree, from the provenance that each artifact carries.
+pub(crate) fn log(artifact: &Path) -> Result<()> {
+    let (kind, provenance) = provenance_of(artifact)?.ok_or_else(|| {
+        anyhow!(
+            "{} carries no provenance: expected a table, a model.json or a report.html of loopboost",
+            artifact.display()
+        )
+    })?;
+    println!("{}", artifact.display());
+    print_branch(artifact, &kind, &provenance, "", &mut BTreeSet::new());
+    Ok(())
+}
+
+fn print_branch(
+    artifact: &Path,
+    kind: &str,
+    provenance: &Provenance,
+    indent: &str,
+    shown: &mut BTreeSet<String>,
+) {
+    println!(
+        "{indent}  {kind}, loopboost {}, seed {}, options {}",
+        provenance.program_version, provenance.seed, provenance.options
+    );
+    if !provenance.dropped.is_empty() {
+        println!("{indent}  dropped: {}", provenance.dropped);
+    }
+    let last = provenance.inputs.len().saturating_sub(1);
+    for (k, (name, digest)) in provenance.inputs.iter().enumerate() {
+        let (branch, below) = if k == last { ("└─ ", "   ") } else { ("├─ ", "│  ") };
+        let path = find_beside(artifact, name);
+        let state = match path.as_deref().map(digest_file) {
+            Some(Ok(now)) if now == *digest => "",
+            Some(Ok(_)) => "  (has changed since)",
+            Some(Err(_)) => "  (cannot be read)",
+            None => "  (not in the run folder)",
+        };
+        println!("{indent}{branch}{name}  {}{state}", short(digest));
+        let Some(path) = path else { continue };
+        let Ok(Some((kind, provenance))) = provenance_of(&path) else { continue };
+        let indent = format!("{indent}{below}");
+        if shown.insert(name.clone()) {
+            print_branch(&path, &kind, &provenance, &indent, shown);
+        } else {
+            println!("{indent}  (as above)");
+        }
+    }
+}
+
+/// An input by its name in the run folder, which is the artifact's folder or one above it.
+fn find_beside(artifact: &Path, name: &str) -> Option<PathBuf> {
+    artifact.ancestors().skip(1).map(|folder| folder.join(name)).find(|path| path.is_file())
+}
+
+/// The first digits of a digest, enough to compare by eye.
+fn short(digest: &str) -> &str {
+    digest.get(..12).unwrap_or(digest)
+}
+
+/// Kind and provenance of an artifact; none for a log or a file of others.
+fn provenance_of(path: &Path) -> Result<Option<(String, Provenance)>> {
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("parquet") => Ok(Some(read_provenance(path)?)),
+        Some("json") => {
+            let model = model::load(path)?;
+            let kind = format!("model {} {}", model.name, model.version);
+            let options = serde_json::json!({
+                "learner": model.classifier.learner,
+                "rounds": model.classifier.rounds.len(),
+                "label": model.label_options,
+            });
+            let provenance = Provenance {
+                program_version: model.program_version,
+                seed: model.seed,
+                options,
+                inputs: model.training.digests,
+                ..Provenance::default()
+            };
+            Ok(Some((kind, provenance)))
+        }
+        Some("html") => {
+            let html = fs::read_to_string(path)
+                .with_context(|| format!("cannot read {}", path.display()))?;
+            Ok(Provenance::from_entries(|key| meta_content(&html, key)))
+        }
+        _ => match path.exists() {
+            true => Ok(None),
+            false => Err(anyhow!("{} is missing", path.display())),
+        },
+    }
+}
+
+/// The content of a `meta` element of a report, which `evaluate` escaped.
+fn meta_content(html: &str, key: &str) -> Option<String> {
+    let (_, rest) = html.split_once(&format!("<meta name=\"{key}\" content=\""))?;
+    let (content, _) = rest.split_once('"')?;
+    let unescaped = content.replace("&quot;", "\"").replace("&lt;", "<").replace("&gt;", ">");
+    Some(unescaped.replace("&amp;", "&"))
+}
+
+/// Rechecks every digest that a run folder's tasks recorded.
+pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
+    let manifest = Manifest::load_existing(folder)?;
+    let mut logs: BTreeMap<String, PathBuf> = BTreeMap::new();
+    for log in config.map(Config::log_files).transpose()?.unwrap_or_default() {
+        let name = log.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        logs.insert(name, log);
+    }
+    let mut digests: BTreeMap<String, Option<String>> = BTreeMap::new();
+    let mut digest_of = |name: &str| -> Option<String> {
+        let path = logs.get(name).cloned().unwrap_or_else(|| folder.join(name));
+        digests.entry(name.to_owned()).or_insert_with(|| digest_file(&path).ok()).clone()
+    };
+    let is_made_here: BTreeSet<&String> =
+        manifest.tasks.values().flat_map(|task| task.outputs.keys()).collect();
+    let (mut n_checked, mut faults, mut unchecked) = (0, Vec::new(), BTreeSet::new());
+    for (task, record) in &manifest.tasks {
+        for (name, digest) in &record.outputs {
+            n_checked += 1;
+            match digest_of(name) {
+                None => faults.push(format!("{name} is missing (made by `{task}`)")),
+                Some(now) if now != *digest => {
+                    faults.push(format!("{name} has changed since `{task}` made it"));
+                }
+                Some(_) => {}
+            }
+        }
+        for (name, digest) in &record.inputs {
+            let now = digest_of(name);
+            if now.is_none() && !is_made_here.contains(name) {
+                unchecked.insert(name.clone());
+            } else {
+                n_checked += 1;
+                if now.as_ref() != Some(digest) {
+                    let outputs: Vec<&str> = record.outputs.keys().map(String::as_str).collect();
+                    faults.push(format!(
+                        "{name} is newer than what `{task}` made from it: {}",
+                        outputs.join(", ")
+                    ));
+                }
+            }
+        }
+    }
+    println!("{n_checked} digests checked, {} faults", faults.len());
+    for log in unchecked {
+        println!(
+            "not checked: log {log}, which lies outside the folder; name the pipeline with --pipeline"
+        );
+    }
+    if faults.is_empty() {
+        return Ok(());
+    }
+    for fault in &faults {
+        println!("{fault}");
+    }
+    Err(anyhow!(
+        "{} is not as it was made ({} faults); `loopboost run PIPELINE.toml --out {}` makes it whole again",
+        folder.display(),
+        faults.len(),
+        folder.display()
+    ))
+}

@@ -1,0 +1,152 @@
+//! `run.json`: what each task of a run was made from and what it made, so that the next run redoes
+//! only what has changed.
+//!
+//! It holds no times and no paths outside the run folder: the same run gives the same bytes.
+
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, anyhow};
+use dataset::Dropped;
+use dataset::tables::{Provenance, TableError, write_atomically};
+use serde::{Deserialize, Serialize};
+
+/// Version of the layout of `run.json`; a file of another version is not read, and everything is
+/// done again.
+const FORMAT_VERSION: u32 = 1;
+
+/// The tasks of a run folder, by name ("ingest monday", "label").
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Manifest {
+    format_version: u32,
+    pub(crate) tasks: BTreeMap<String, Record>,
+}
+
+/// A task as it was done.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Record {
+    pub(crate) program_version: String,
+    pub(crate) seed: u64,
+    pub(crate) options: serde_json::Value,
+    /// Names and digests of what it read.
+    pub(crate) inputs: BTreeMap<String, String>,
+    /// Names and digests of what it made.
+    pub(crate) outputs: BTreeMap<String, String>,
+    pub(crate) dropped: Dropped,
+    /// What it said on stdout.
+    pub(crate) said: Vec<String>,
+}
+
+impl Manifest {
+    fn path(folder: &Path) -> PathBuf {
+        folder.join("run.json")
+    }
+
+    /// Reads a run folder's manifest; an absent, damaged or foreign one is empty, so that
+    /// everything is done again.
+    pub(crate) fn load(folder: &Path) -> Self {
+        Self::load_existing(folder).unwrap_or_default()
+    }
+
+    /// Reads a run folder's manifest, or says why it cannot.
+    pub(crate) fn load_existing(folder: &Path) -> Result<Self> {
+        let path = Self::path(folder);
+        let text = std::fs::read(&path).map_err(|e| {
+            anyhow!("{} is no run folder: cannot read run.json: {e}", folder.display())
+        })?;
+        let manifest: Self = serde_json::from_slice(&text).map_err(|e| {
+            anyhow!("{} is damaged: {e}; `loopboost run` makes it anew", path.display())
+        })?;
+        if manifest.format_version != FORMAT_VERSION {
+            return Err(anyhow!(
+                "{} has format version {}, this program reads version {FORMAT_VERSION}; `loopboost run` makes it anew",
+                path.display(),
+                manifest.format_version
+            ));
+        }
+        Ok(manifest)
+    }
+
+    pub(crate) fn save(&mut self, folder: &Path) -> Result<()> {
+        self.format_version = FORMAT_VERSION;
+        let mut json = serde_json::to_string_pretty(self)?;
+        json.push('\n');
+        let path = Self::path(folder);
+        write_atomically(&path, |mut file| {
+            file.write_all(json.as_bytes()).map_err(|source| TableError::Io {
+                action: "write",
+                path: path.clone(),
+                source,
+            })?;
+            Ok::<_, TableError>((file, ()))
+        })?;
+        Ok(())
+    }
+}
+
+impl Record {
+    /// What differs between the task as it was done and as it is asked for now, by what a reader
+    /// would call it; nothing where it need not be done again.
+    pub(crate) fn changes(&self, now: &Provenance) -> Vec<String> {
+        let mut changes = Vec::new();
+        if self.program_version != now.program_version {
+            changes
+                .push(format!("program {} is now {}", self.program_version, now.program_version));
+        }
+        if self.seed != now.seed {
+            changes.push(format!("seed {} is now {}", self.seed, now.seed));
+        }
+        option_changes("", &self.options, &now.options, &mut changes);
+        for (name, digest) in &now.inputs {
+            match self.inputs.get(name) {
+                None => changes.push(format!("{name} is new")),
+                Some(before) if before != digest => changes.push(format!("{name} has changed")),
+                Some(_) => {}
+            }
+        }
+        for name in self.inputs.keys().filter(|name| !now.inputs.contains_key(*name)) {
+            changes.push(format!("{name} is no longer an input"));
+        }
+        changes
+    }
+}
+
+/// What differs between two JSON values, a line for each key.
+pub(crate) fn changes(before: &serde_json::Value, now: &serde_json::Value) -> Vec<String> {
+    let mut changes = Vec::new();
+    option_changes("", before, now, &mut changes);
+    changes
+}
+
+fn option_changes(
+    key: &str,
+    before: &serde_json::Value,
+    now: &serde_json::Value,
+    changes: &mut Vec<String>,
+) {
+    use serde_json::Value;
+    match (before, now) {
+        (Value::Object(before), Value::Object(now)) => {
+            let keys: std::collections::BTreeSet<&String> =
+                before.keys().chain(now.keys()).collect();
+            for name in keys {
+                let inner = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
+                let value = |object: &serde_json::Map<String, Value>| {
+                    object.get(name).cloned().unwrap_or(Value::Null)
+                };
+                option_changes(&inner, &value(before), &value(now), changes);
+            }
+        }
+        (Value::Array(before), Value::Array(now)) => {
+            for k in 0..before.len().max(now.len()) {
+                let value = |array: &[Value]| array.get(k).cloned().unwrap_or(Value::Null);
+                option_changes(&format!("{key}[{k}]"), &value(before), &value(now), changes);
+            }
+        }
+        (before, now) if before != now => changes.push(format!("{key} {before} is now {now}")),
+        _ => {}
+    }
+}

@@ -1,0 +1,303 @@
+//! A run that is repeated, changed, killed, or short of disk.
+
+use std::fs;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use crate::support::{Finished, Workplace, loopboost};
+
+const PIPELINE: &str = r#"
+name = "drive"
+seed = 7
+
+[simulate]
+logs = ["there", "back"]
+length_m = 110.0
+people = 2
+
+[ingest]
+site = "building"
+pose.topic = "/ground_truth"
+
+[label]
+pairs_per_class = 60
+
+[train]
+rounds = 10
+"#;
+
+/// The tasks that a run did, by the first words of its lines; those left alone say `(unchanged)`.
+fn done(finished: &Finished) -> Vec<String> {
+    let mut done: Vec<String> = finished
+        .stdout
+        .lines()
+        .filter(|line| !line.ends_with("(unchanged)"))
+        .map(|line| {
+            let mut words = line.split_whitespace();
+            let stage = words.next().unwrap_or_default();
+            match stage {
+                "simulate" | "ingest" => {
+                    format!("{stage} {}", words.next().unwrap_or_default().trim_end_matches(':'))
+                }
+                _ => stage.to_owned(),
+            }
+        })
+        .collect();
+    done.dedup();
+    done
+}
+
+#[test]
+fn only_what_has_changed_is_done_again() {
+    let workplace = Workplace::new(PIPELINE);
+    let run = |more: &[&str]| workplace.command("run", "out", more).expect(0);
+    assert_eq!(done(&run(&[])).len(), 9);
+    let first = workplace.files("out");
+    assert_eq!(done(&run(&[])), [""; 0], "nothing has changed");
+
+    // Another label option touches nothing before `label`.
+    let after = done(&run(&["--set", "label.positive_radius_m=2"]));
+    assert_eq!(after, ["label", "train", "evaluate"]);
+    // Back again: the models are those there already, no version is added for the old content.
+    let models = |files: &std::collections::BTreeMap<String, Vec<u8>>| {
+        files.keys().filter(|name| name.ends_with("model.json")).count()
+    };
+    assert_eq!(models(&workplace.files("out")), 6);
+    run(&[]);
+    let mut back = workplace.files("out");
+    assert_eq!(models(&back), 6, "1.0.0 is found again");
+    back.retain(|name, _| !name.contains("/1.1.0/"));
+    assert!(back == first);
+
+    // What was altered or removed by hand is made again, and what depends on it is left alone
+    // where it comes out the same.
+    fs::remove_file(workplace.path("out/features.parquet")).unwrap();
+    fs::write(workplace.path("out/poses/back.parquet"), b"spoiled").unwrap();
+    assert_eq!(done(&run(&[])), ["ingest back", "featurize"]);
+    assert_eq!(done(&run(&["--force", "label"])), ["label"]);
+}
+
+#[test]
+fn a_log_added_is_the_only_one_ingested() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("simulate", "out", &[]).expect(0);
+    let (_, rest) = PIPELINE.split_once("[ingest]").unwrap();
+    fs::write(workplace.path("drive.toml"), format!("[ingest]\nlogs = [\"logs\"]{rest}")).unwrap();
+    fs::create_dir(workplace.path("logs")).unwrap();
+    let add = |name: &str| {
+        let from = workplace.path("out/logs").join(name);
+        fs::copy(from, workplace.path("logs").join(name)).unwrap();
+    };
+    add("there.mcap");
+    workplace.command("run", "out", &["--set", "label.pairs_per_class=20"]).expect(0);
+    add("back.mcap");
+    let after = workplace.command("run", "out", &["--set", "label.pairs_per_class=20"]).expect(0);
+    assert_eq!(
+        done(&after),
+        ["ingest back", "subsample", "label", "featurize", "train", "evaluate"]
+    );
+}
+
+#[test]
+fn a_dry_run_tells_what_would_be_done_and_why_and_does_nothing() {
+    let workplace = Workplace::new(PIPELINE);
+    let dry = |more: &[&str]| {
+        let mut args = vec!["--dry-run"];
+        args.extend(more);
+        workplace.command("run", "out", &args).expect(0).stdout
+    };
+    assert!(dry(&[]).contains("would run: not done yet"));
+    assert!(!workplace.path("out").exists());
+    workplace.command("run", "out", &[]).expect(0);
+    let before = workplace.files("out");
+    assert!(dry(&[]).lines().all(|line| line.ends_with("up to date")), "{}", dry(&[]));
+    let told = dry(&["--set", "label.positive_radius_m=2", "--force", "featurize"]);
+    for line in [
+        "label                    would run: positive_radius_m 1.5 is now 2.0",
+        "featurize                would run: forced",
+        "train                    would run if its inputs change: pairs.parquet may change, features.parquet may change",
+        "subsample                up to date",
+    ] {
+        assert!(told.contains(line), "`{line}` is not in:\n{told}");
+    }
+    assert!(workplace.files("out") == before);
+}
+
+#[test]
+fn losses_are_told_again_by_a_run_that_does_nothing() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "out", &[]).expect(0);
+    // The same logs as files, one of them cut.
+    let log = fs::read(workplace.path("out/logs/there.mcap")).unwrap();
+    fs::write(workplace.path("there.mcap"), &log[..log.len() * 9 / 10]).unwrap();
+    fs::copy(workplace.path("out/logs/back.mcap"), workplace.path("back.mcap")).unwrap();
+    let (_, rest) = PIPELINE.split_once("[ingest]").unwrap();
+    let files = format!("[ingest]\nlogs = [\"there.mcap\", \"back.mcap\"]{rest}");
+    fs::write(workplace.path("drive.toml"), files).unwrap();
+    for _ in 0..2 {
+        workplace.command("run", "cut", &[]).expect(3).says(&["1 ends of the log cut off"]);
+    }
+}
+
+/// Killed at pseudo-random moments and run again, a run ends with the same bytes.
+/// `LOOPBOOST_KILLS` sets how often.
+#[test]
+fn a_run_killed_at_any_moment_ends_with_the_same_bytes() {
+    let workplace = Workplace::new(PIPELINE);
+    let start = std::time::Instant::now();
+    workplace.command("run", "whole", &[]).expect(0);
+    let whole_ms = start.elapsed().as_millis() as u64;
+    let expected = workplace.files("whole");
+    let n: u64 = std::env::var("LOOPBOOST_KILLS").map_or(8, |n| n.parse().expect("a number"));
+    let mut n_killed = 0;
+    for k in 0..n {
+        let out = workplace.path("killed");
+        let mut child = Command::new(assert_cmd::cargo::cargo_bin!("loopboost"))
+            .args(["run", workplace.path("drive.toml").to_str().unwrap(), "--out"])
+            .arg(&out)
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        // Somewhere in the run, by a multiplicative sequence over its length.
+        std::thread::sleep(Duration::from_millis((k * 7919 + 37) % whole_ms.max(2)));
+        n_killed += u64::from(child.try_wait().unwrap().is_none());
+        child.kill().unwrap();
+        child.wait().unwrap();
+        let resumed = workplace.command("run", "killed", &[]).expect(0);
+        let found = workplace.files("killed");
+        assert!(
+            found.keys().eq(expected.keys()),
+            "kill {k}: {:?}\n{}",
+            found.keys(),
+            resumed.stdout
+        );
+        for (name, bytes) in &expected {
+            assert!(found[name] == *bytes, "kill {k}: {name} has other bytes");
+        }
+        fs::remove_dir_all(&out).unwrap();
+    }
+    assert!(n / 2 <= n_killed, "{n_killed} of {n} were killed in time");
+    println!("{n_killed} of {n} runs were killed before their end; all resumed to the same bytes");
+}
+
+#[test]
+fn a_second_run_on_the_same_folder_is_refused() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "out", &[]).expect(0);
+    let lock = fs::File::open(workplace.path("out/.lock")).unwrap();
+    lock.lock().unwrap();
+    workplace
+        .command("run", "out", &[])
+        .expect(1)
+        .says(&["another run is at work on", "choose another --out"]);
+    drop(lock);
+    workplace.command("run", "out", &[]).expect(0);
+}
+
+/// A disk that takes no more, by a limit on the size of files: nothing half written is taken for
+/// whole, and the next run goes on.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_full_disk_is_named_and_leaves_nothing_half_written() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "whole", &[]).expect(0);
+    workplace.command("simulate", "out", &[]).expect(0);
+    let program = assert_cmd::cargo::cargo_bin!("loopboost");
+    // 512-byte or 1024-byte blocks, as the shell has it: less than a scans table either way.
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 400; exec {} run {} --out {}",
+        program.display(),
+        workplace.path("drive.toml").display(),
+        workplace.path("out").display()
+    );
+    let output = Command::new("sh").args(["-c", &script]).output().unwrap();
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains("cannot write") && stderr.contains("scans"), "{stderr}");
+    let left = workplace.files("out");
+    assert!(
+        !left.keys().any(|name| name.contains("partial") || name.starts_with("scans")),
+        "{:?}",
+        left.keys()
+    );
+    workplace.command("run", "out", &[]).expect(0);
+    assert!(workplace.files("out") == workplace.files("whole"));
+}
+
+#[test]
+fn log_and_verify_tell_where_things_come_from_and_what_has_changed() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "out", &[]).expect(0);
+    let out = workplace.path("out");
+    let model = out.join("models/drive-discrete/1.0.0/model.json");
+    let verify = || loopboost(&["verify", out.to_str().unwrap()]);
+    assert!(verify().expect(0).stdout.contains(" 0 faults"));
+    for artifact in [&model, &out.join("report.html"), &out.join("evaluation/errors.parquet")] {
+        let told = loopboost(&["log", artifact.to_str().unwrap()]).expect(0).stdout;
+        for name in ["keyframes.parquet", "scans/there.parquet", "logs/back.mcap", "seed 7"] {
+            assert!(told.contains(name), "{name} is not in:\n{told}");
+        }
+    }
+    // Another model version, then a table from another run laid over the folder's.
+    workplace.command("run", "other", &["--set", "label.positive_radius_m=1.2"]).expect(0);
+    fs::copy(workplace.path("other/pairs.parquet"), out.join("pairs.parquet")).unwrap();
+    fs::remove_file(out.join("report.html")).unwrap();
+    let told = verify().expect(1);
+    for line in [
+        "pairs.parquet has changed since `label` made it",
+        "report.html is missing (made by `evaluate`)",
+        "pairs.parquet is newer than what `train` made from it: models/",
+    ] {
+        assert!(told.stdout.contains(line), "`{line}` is not in:\n{}", told.stdout);
+    }
+    let told = loopboost(&["log", model.to_str().unwrap()]).expect(0).stdout;
+    assert!(
+        told.lines().any(|l| l.contains("pairs.parquet") && l.contains("has changed since")),
+        "{told}"
+    );
+    loopboost(&["verify", workplace.path("").to_str().unwrap()])
+        .expect(1)
+        .says(&["is no run folder"]);
+    loopboost(&["log", workplace.path("drive.toml").to_str().unwrap()])
+        .expect(1)
+        .says(&["carries no provenance"]);
+}
+
+#[test]
+fn models_are_listed_shown_compared_verified_and_exported() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "out", &[]).expect(0);
+    workplace.command("run", "out", &["--set", "label.positive_radius_m=2"]).expect(0);
+    let path = |name: &str| workplace.path("out").join(name).to_str().unwrap().to_owned();
+    let (a, b) = (
+        path("models/drive-discrete/1.0.0/model.json"),
+        path("models/drive-discrete/1.1.0/model.json"),
+    );
+    let list = loopboost(&["model", "list", &path("")]).expect(0).stdout;
+    assert_eq!(list.lines().count(), 6, "{list}");
+    let card = loopboost(&["model", "show", &a]).expect(0).stdout;
+    assert_eq!(card, fs::read_to_string(path("models/drive-discrete/1.0.0/card.md")).unwrap());
+    let diff = loopboost(&["model", "diff", &a, &b]).expect(0).stdout;
+    assert!(diff.contains("label_options.positive_radius_m 1.5 is now 2.0"), "{diff}");
+    assert!(loopboost(&["model", "diff", &a, &a]).expect(0).stdout.contains("no difference"));
+    loopboost(&["model", "verify", &path("models")]).expect(0);
+    for learner in ["discrete", "gentle_line", "gentle_stump"] {
+        let model = path(&format!("models/drive-{learner}/1.0.0/model.json"));
+        let onnx = path(&format!("{learner}.onnx"));
+        loopboost(&["model", "export", &model, "--onnx", &onnx]).expect(0);
+        let Some(python) = crate::support::python_with("numpy, onnx, onnxruntime") else {
+            continue;
+        };
+        let output = Command::new(python)
+            .arg(crate::support::root().join("tests/peers/export.py"))
+            .args([&onnx, &model])
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        print!("{}", String::from_utf8_lossy(&output.stdout));
+    }
+    let altered = fs::read_to_string(&a).unwrap().replace("\"seed\": 7", "\"seed\": 8");
+    fs::write(&a, altered).unwrap();
+    loopboost(&["model", "verify", &a]).expect(1);
+    loopboost(&["model", "show", &a]).expect(1).says(&["was altered", "digest"]);
+}
