@@ -99,6 +99,15 @@ fn usage_errors_exit_2() {
         .command("run", "out", &["--set", "subsample.spacing_m=0"])
         .expect(2)
         .says(&["`subsample.spacing_m` is 0, expected more than 0"]);
+    for (option, says) in [
+        ("evaluate.folds=101", "no more than `label.pairs_per_class`"),
+        ("train.rounds=4000000000", "`train.rounds` is 4000000000"),
+        ("evaluate.groupings=[\"pair\", \"pair\"]", "names a grouping twice"),
+        ("simulate.spin_hz=50", "spin_hz"),
+        ("ingest.logs=[]", "`ingest.logs` is empty"),
+    ] {
+        workplace(PIPELINE).command("run", "out", &["--set", option]).expect(2).says(&[says]);
+    }
     workplace("name = [\n").command("run", "out", &[]).expect(2).says(&["drive.toml", "line 1"]);
 }
 
@@ -168,7 +177,11 @@ fn what_is_no_log_fails() {
     workplace
         .command("run", "out", &[])
         .expect(1)
-        .says(&["nothing matches `a.mcap`", "relative to the pipeline file"]);
+        .says(&["a.mcap does not exist", "relative to the pipeline file"]);
+    workplace
+        .command("run", "out", &["--set", "ingest.logs=[\"*.mcap\"]"])
+        .expect(1)
+        .says(&["nothing matches `*.mcap`"]);
 }
 
 #[test]
@@ -204,16 +217,59 @@ fn a_stage_without_its_input_names_the_command_that_makes_it() {
 }
 
 #[test]
-fn tables_of_another_run_are_not_mixed() {
+fn a_stage_takes_no_table_made_with_other_options_or_from_other_files() {
     let workplace = workplace(PIPELINE);
     workplace.command("run", "out", &[]).expect(0);
-    workplace.command("subsample", "out", &["--set", "subsample.spacing_m=1"]).expect(0);
-    workplace.command("train", "out", &[]).expect(1).says(&["is no keyframe", "loopboost label"]);
-    workplace.command("label", "out", &["--set", "label.pairs_per_class=40"]).expect(0);
+    // Options that pairs, features and scans were not made with.
+    for (option, says) in [
+        (
+            "label.positive_radius_m=2.9",
+            ["pairs.parquet", "positive_radius_m 1.5 is now 2.9", "loopboost label"],
+        ),
+        ("featurize.gate_m=9", ["features.parquet", "gate_m 2.5 is now 9", "loopboost featurize"]),
+        (
+            "ingest.lidar.range_max_m=12",
+            ["a.parquet", "range_max_m 70.0 is now 12", "loopboost ingest"],
+        ),
+        ("seed=8", [".parquet", "seed 2436 is now 8", "loopboost run"]),
+    ] {
+        workplace.command("train", "out", &["--set", option]).expect(1).says(&says);
+    }
+    // Keyframes made anew: pairs and features are of the old ones.
+    let spacing = ["--set", "subsample.spacing_m=1"];
+    let few = [&spacing[..], &["--set", "label.pairs_per_class=40"]].concat();
+    workplace.command("subsample", "out", &spacing).expect(0);
     workplace
-        .command("train", "out", &[])
+        .command("train", "out", &few)
         .expect(1)
-        .says(&["features.parquet is not of these keyframes", "loopboost featurize"]);
+        .says(&["pairs.parquet does not fit this pipeline", "keyframes.parquet has changed"]);
+    workplace.command("label", "out", &few).expect(0);
+    workplace
+        .command("train", "out", &few)
+        .expect(1)
+        .says(&["features.parquet does not fit", "loopboost featurize"]);
+    workplace.command("featurize", "out", &few).expect(0);
+    workplace.command("train", "out", &few).expect(0);
+}
+
+#[test]
+fn later_stages_do_not_need_the_logs() {
+    let workplace = workplace(PIPELINE);
+    workplace.command("ingest", "out", &[]).expect(0);
+    fs::remove_file(workplace.path("a.mcap")).unwrap();
+    for stage in ["subsample", "label", "featurize", "train", "evaluate"] {
+        workplace.command(stage, "out", &[]).expect(0);
+    }
+}
+
+#[test]
+fn paths_may_hold_the_letters_of_globs() {
+    let workplace = workplace(&PIPELINE.replace("a.mcap", "drives [1]/a.mcap"));
+    fs::create_dir(workplace.path("drives [1]")).unwrap();
+    fs::rename(workplace.path("a.mcap"), workplace.path("drives [1]/a.mcap")).unwrap();
+    workplace.command("ingest", "out", &[]).expect(0);
+    workplace.command("ingest", "out", &["--set", "ingest.logs=[\"drives [1]\"]"]).expect(0);
+    workplace.command("ingest", "out", &["--set", "ingest.logs=[\"*/*.mcap\"]"]).expect(0);
 }
 
 #[test]
@@ -228,7 +284,7 @@ fn two_logs_of_one_name_and_strays_are_refused() {
     let stray = format!("{PIPELINE}\n[ingest.log.c]\nsite = \"x\"\n");
     self::workplace(&stray)
         .command("ingest", "out", &[])
-        .expect(1)
+        .expect(2)
         .says(&["[ingest.log.c]", "no log of this run"]);
 }
 

@@ -23,11 +23,11 @@ mod turns;
 use std::path::PathBuf;
 
 use dataset::{Dropped, Scan, StampedPose, Trajectory};
-use messages::ros::MessageType;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 pub use log::{Channel, Contents, Log};
+pub use messages::ros::MessageType;
 
 use chunk::Buffer;
 use log::{Piece, Topic};
@@ -215,9 +215,9 @@ pub enum IngestError {
 }
 
 /// The message types a scan can come from.
-const LIDAR_TYPES: [MessageType; 2] = [MessageType::VelodyneScan, MessageType::LaserScan];
+pub const LIDAR_TYPES: [MessageType; 2] = [MessageType::VelodyneScan, MessageType::LaserScan];
 /// The message types a pose can come from.
-const POSE_TYPES: [MessageType; 2] = [MessageType::PoseStamped, MessageType::Odometry];
+pub const POSE_TYPES: [MessageType; 2] = [MessageType::PoseStamped, MessageType::Odometry];
 
 /// Pieces decoded between two joins, for each thread.
 const PIECES_PER_THREAD: usize = 8;

@@ -180,7 +180,7 @@ impl Cli {
                     SchemaOf::Pipeline => schemars::schema_for!(Config),
                     SchemaOf::Model => model::schema(),
                 };
-                println!("{}", serde_json::to_string_pretty(&schema)?);
+                out!("{}", serde_json::to_string_pretty(&schema)?);
                 Ok(Dropped::default())
             }
             Command::Model { command } => done(match command {
@@ -202,7 +202,7 @@ impl PipelineArgs {
         match self.out {
             Some(out) if !self.print_config => stage(&Run::new(config, out, mode)?),
             _ => {
-                print!("{}", config.to_toml()?);
+                out!("{}", config.to_toml()?.trim_end());
                 Ok(Dropped::default())
             }
         }

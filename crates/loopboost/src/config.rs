@@ -22,7 +22,7 @@ impl std::fmt::Display for UsageError {
 
 impl std::error::Error for UsageError {}
 
-fn usage(message: impl std::fmt::Display) -> anyhow::Error {
+pub(crate) fn usage(message: impl std::fmt::Display) -> anyhow::Error {
     UsageError(message.to_string()).into()
 }
 
@@ -80,6 +80,9 @@ pub(crate) struct IngestSection {
     pub(crate) log: BTreeMap<String, Table>,
 }
 
+/// More rounds than anybody boosts; a slip of the hand would take all memory.
+const MAX_ROUNDS: u32 = 100_000;
+
 /// `[evaluate]`
 #[derive(Debug, Clone, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -136,13 +139,22 @@ impl Config {
         toml::to_string(self).context("cannot write the options as TOML")
     }
 
-    /// The logs that `ingest.logs` names, in its order, those of a folder or glob by name.
+    /// The logs that `ingest.logs` names, in its order, those of a folder or glob by name. A file
+    /// that is named itself need not be there: only `ingest` reads it.
     pub(crate) fn log_files(&self) -> Result<Vec<PathBuf>> {
         let mut files = Vec::new();
         for entry in &self.ingest.logs {
             let path = self.folder.join(entry);
-            let pattern = if path.is_dir() { path.join("*.mcap") } else { path };
-            let pattern = pattern.to_string_lossy();
+            let escaped = |path: &Path| glob::Pattern::escape(&path.to_string_lossy());
+            let pattern = if path.is_dir() {
+                format!("{}/*.mcap", escaped(&path))
+            } else if path.exists() || !entry.contains(['*', '?', '[']) {
+                files.push(path);
+                continue;
+            } else {
+                let folder = escaped(&self.folder);
+                if folder.is_empty() { entry.clone() } else { format!("{folder}/{entry}") }
+            };
             let found: Vec<PathBuf> = glob::glob(&pattern)
                 .with_context(|| format!("`ingest.logs`: `{entry}` is no path or glob"))?
                 .collect::<Result<_, _>>()
@@ -175,7 +187,7 @@ impl Config {
         let legal = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
         if !self.name.chars().all(legal) || self.name.starts_with('.') {
             return Err(anyhow!(
-                "`name` is `{}`, expected letters, digits, `-`, `_` and `.`: it names folders",
+                "`name` is `{}`, expected letters, digits, `-`, `_` and `.`, since it names folders: set `name`",
                 self.name
             ));
         }
@@ -183,8 +195,14 @@ impl Config {
         self.subsample.check()?;
         self.label.check()?;
         self.featurize.check()?;
-        if self.train.rounds == 0 {
-            return Err(anyhow!("`train.rounds` is 0, expected 1 or more"));
+        if let Some(simulate) = &self.simulate {
+            simulate.check().context("[simulate]")?;
+        }
+        if !(1..=MAX_ROUNDS).contains(&self.train.rounds) {
+            return Err(anyhow!(
+                "`train.rounds` is {}, expected 1 to {MAX_ROUNDS}",
+                self.train.rounds
+            ));
         }
         if self.train.learners.is_empty() {
             return Err(anyhow!("`train.learners` is empty, expected at least one learner"));
@@ -194,6 +212,18 @@ impl Config {
         }
         if self.evaluate.folds < 2 {
             return Err(anyhow!("`evaluate.folds` is {}, expected 2 or more", self.evaluate.folds));
+        }
+        if self.label.pairs_per_class < self.evaluate.folds as usize {
+            return Err(anyhow!(
+                "`evaluate.folds` is {}, expected no more than `label.pairs_per_class`, which is {}",
+                self.evaluate.folds,
+                self.label.pairs_per_class
+            ));
+        }
+        if self.evaluate.groupings.iter().collect::<BTreeSet<_>>().len()
+            < self.evaluate.groupings.len()
+        {
+            return Err(anyhow!("`evaluate.groupings` names a grouping twice"));
         }
         if self.evaluate.groupings.is_empty() {
             return Err(anyhow!("`evaluate.groupings` is empty, expected at least `pair`"));
@@ -210,25 +240,18 @@ pub(crate) fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Sets `a.b.c=value` in a table; the value is TOML, or else a string.
+/// Lays `a.b.c=value` over a table; the value is TOML, or else a string. A key with dots in it is
+/// quoted as in TOML: `ingest.log."a.b".site=x`.
 fn apply_override(table: &mut Table, text: &str) -> Result<()> {
     let (key, value) = text.split_once('=').ok_or_else(|| {
         usage(format!("--set {text}: expected KEY=VALUE, such as label.positive_radius_m=2"))
     })?;
-    let value = toml::from_str::<Table>(&format!("value = {value}"))
-        .ok()
-        .and_then(|mut parsed| parsed.remove("value"))
-        .unwrap_or_else(|| Value::String(value.to_owned()));
-    let mut keys: Vec<&str> = key.trim().split('.').collect();
-    let last = keys.pop().unwrap_or_default();
-    let mut inner = table;
-    for key in keys {
-        let entry = inner.entry(key).or_insert_with(|| Value::Table(Table::new()));
-        inner = entry
-            .as_table_mut()
-            .ok_or_else(|| usage(format!("--set {text}: `{key}` is a value, not a section")))?;
-    }
-    inner.insert(last.to_owned(), value);
+    let parsed = toml::from_str::<Table>(&format!("{key} = {value}"))
+        .or_else(|_| {
+            toml::from_str::<Table>(&format!("{key} = {}", Value::String(value.to_owned())))
+        })
+        .map_err(|e| usage(format!("--set {text}: {}", e.message())))?;
+    merge(table, &parsed);
     Ok(())
 }
 

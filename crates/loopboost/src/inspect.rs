@@ -2,52 +2,62 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use dataset::Dropped;
-use ingest::{Channel, Log};
-
-/// Types that `ingest` takes scans from, then poses.
-const LIDARS: [&str; 2] = ["VelodyneScan", "LaserScan"];
-const POSES: [&str; 2] = ["PoseStamped", "Odometry"];
+use ingest::{Channel, LIDAR_TYPES, Log, MessageType, POSE_TYPES};
 
 pub(crate) fn inspect(path: &Path) -> Result<Dropped> {
     let log = Log::open(path)?;
     let contents = log.contents();
-    println!("{}: {} bytes", path.display(), log.bytes().len());
+    out!("{}: {} bytes", path.display(), log.bytes().len());
     let seconds = contents.time_range_ns.map(|(start, end)| end.saturating_sub(start) as f64 / 1e9);
     if let Some(seconds) = seconds {
-        println!("duration {seconds:.1} s");
+        out!("duration {seconds:.1} s");
     }
     for channel in contents.channels.values() {
         let count = channel.n_messages.map_or("? messages".to_owned(), |n| format!("{n} messages"));
         let rate = match (channel.n_messages, seconds) {
             (Some(n), Some(seconds)) if seconds > 0.0 && n > 1 => {
-                format!(", {:.2} Hz", (n - 1) as f64 / seconds)
+                format!(", {:.2} Hz", n as f64 / seconds)
             }
             _ => String::new(),
         };
-        println!("  {:<24} {} ({count}{rate})", channel.topic, channel.describe());
+        out!("  {:<24} {} ({count}{rate})", channel.topic, channel.describe());
     }
-    let first = |types: &[&str]| {
-        types.iter().find_map(|wanted| {
-            contents.channels.values().find(|channel| type_name(channel) == *wanted)
-        })
+    // Of the topics that would do, the one with the most messages.
+    let fitting = |types: &[MessageType]| {
+        contents
+            .channels
+            .values()
+            .filter(|channel| channel.n_messages != Some(0))
+            .filter(|channel| channel.message_type().is_some_and(|t| types.contains(&t)))
+            .max_by_key(|channel| channel.n_messages)
     };
-    match (first(&LIDARS), first(&POSES)) {
-        (None, _) => println!("no topic that scans could come from ({})", LIDARS.join(", ")),
-        (Some(lidar), pose) => {
-            println!("\na pipeline that would fit:\n");
-            println!("[ingest]\nlogs = [{:?}]", path.display().to_string());
-            println!("lidar.topic = {:?}", lidar.topic);
-            match pose {
-                Some(pose) => println!("pose.topic = {:?}", pose.topic),
-                None => println!("# no pose topic: scans can be ingested, but not labelled"),
-            }
+    match fitting(&LIDAR_TYPES) {
+        None => {
+            let names = LIDAR_TYPES.map(MessageType::name).join(" or ");
+            out!("\nno topic that scans could come from: expected {names} as cdr or ros1");
         }
+        Some(lidar) => print_pipeline(path, lidar, fitting(&POSE_TYPES))?,
     }
     Ok(contents.dropped)
 }
 
-fn type_name(channel: &Channel) -> &str {
-    channel.schema.rsplit('/').next().unwrap_or_default()
+fn print_pipeline(path: &Path, lidar: &Channel, pose: Option<&Channel>) -> Result<()> {
+    let path = path.canonicalize().with_context(|| format!("cannot find {}", path.display()))?;
+    out!("\na pipeline that would fit:\n");
+    out!("[ingest]\nlogs = [{:?}]", path.display().to_string());
+    match pose {
+        Some(pose) => out!("pose.topic = {:?}", pose.topic),
+        None => out!("# no pose topic: scans can be ingested, but not labelled"),
+    }
+    out!("\n[ingest.lidar]\ntopic = {:?}", lidar.topic);
+    if lidar.message_type() == Some(MessageType::LaserScan) {
+        out!("range_min_m = 0.1   # of the scanner");
+        out!("range_max_m = 50.0");
+        out!(
+            "\n[label]\npositive_heading_deg = 45.0   # counts for scanners that see less than 355 deg"
+        );
+    }
+    Ok(())
 }

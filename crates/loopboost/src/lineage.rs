@@ -18,7 +18,7 @@ pub(crate) fn log(artifact: &Path) -> Result<()> {
             artifact.display()
         )
     })?;
-    println!("{}", artifact.display());
+    out!("{}", artifact.display());
     print_branch(artifact, &kind, &provenance, "", &mut BTreeSet::new());
     Ok(())
 }
@@ -30,12 +30,14 @@ fn print_branch(
     indent: &str,
     shown: &mut BTreeSet<String>,
 ) {
-    println!(
+    out!(
         "{indent}  {kind}, loopboost {}, seed {}, options {}",
-        provenance.program_version, provenance.seed, provenance.options
+        provenance.program_version,
+        provenance.seed,
+        provenance.options
     );
     if !provenance.dropped.is_empty() {
-        println!("{indent}  dropped: {}", provenance.dropped);
+        out!("{indent}  dropped: {}", provenance.dropped);
     }
     let last = provenance.inputs.len().saturating_sub(1);
     for (k, (name, digest)) in provenance.inputs.iter().enumerate() {
@@ -47,14 +49,14 @@ fn print_branch(
             Some(Err(_)) => "  (cannot be read)",
             None => "  (not in the run folder)",
         };
-        println!("{indent}{branch}{name}  {}{state}", short(digest));
+        out!("{indent}{branch}{name}  {}{state}", short(digest));
         let Some(path) = path else { continue };
         let Ok(Some((kind, provenance))) = provenance_of(&path) else { continue };
         let indent = format!("{indent}{below}");
         if shown.insert(name.clone()) {
             print_branch(&path, &kind, &provenance, &indent, shown);
         } else {
-            println!("{indent}  (as above)");
+            out!("{indent}  (as above)");
         }
     }
 }
@@ -153,9 +155,9 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
             }
         }
     }
-    println!("{n_checked} digests checked, {} faults", faults.len());
+    out!("{n_checked} digests checked, {} faults", faults.len());
     for log in unchecked {
-        println!(
+        out!(
             "not checked: log {log}, which lies outside the folder; name the pipeline with --pipeline"
         );
     }
@@ -163,7 +165,7 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
         return Ok(());
     }
     for fault in &faults {
-        println!("{fault}");
+        out!("{fault}");
     }
     Err(anyhow!(
         "{} is not as it was made ({} faults); `loopboost run PIPELINE.toml --out {}` makes it whole again",

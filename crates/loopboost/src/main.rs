@@ -1,11 +1,23 @@
 //! The program: options, files, progress, exit codes.
 
+/// A line on stdout. Where stdout cannot be written (a full disk), the program says so and fails.
+macro_rules! out {
+    ($($arg:tt)*) => {{
+        use std::io::Write as _;
+        if let Err(error) = writeln!(std::io::stdout(), $($arg)*) {
+            eprintln!("error: cannot write to stdout: {error}");
+            std::process::exit(1);
+        }
+    }};
+}
+
 mod cli;
 mod config;
 mod inspect;
 mod lineage;
 mod manifest;
 mod models;
+mod options;
 mod pipeline;
 mod run;
 mod stages;

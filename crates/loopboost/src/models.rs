@@ -16,7 +16,7 @@ pub(crate) fn list(folder: &Path) -> Result<()> {
                 let measured = model.measured.first().map_or("not measured".to_owned(), |m| {
                     format!("error {:.1} % by {}", m.error * 100.0, m.grouping)
                 });
-                println!(
+                out!(
                     "{:<32} {:<8} {:<14} {:<12} {measured}",
                     model.name,
                     model.version.to_string(),
@@ -24,7 +24,7 @@ pub(crate) fn list(folder: &Path) -> Result<()> {
                     format!("{} v{}", model.features.set, model.features.version)
                 );
             }
-            Err(error) => println!("{error}"),
+            Err(error) => out!("{error}"),
         }
     }
     Ok(())
@@ -32,7 +32,7 @@ pub(crate) fn list(folder: &Path) -> Result<()> {
 
 /// The model card.
 pub(crate) fn show(path: &Path) -> Result<()> {
-    print!("{}", model::card(&model::load(path)?));
+    out!("{}", model::card(&model::load(path)?).trim_end());
     Ok(())
 }
 
@@ -47,8 +47,8 @@ pub(crate) fn diff(a: &Path, b: &Path) -> Result<()> {
     let (a, b) = (value(a)?, value(b)?);
     let differences = changes(&a, &b);
     match differences.is_empty() {
-        true => println!("no difference"),
-        false => differences.iter().for_each(|line| println!("{line}")),
+        true => out!("no difference"),
+        false => differences.iter().for_each(|line| out!("{line}")),
     }
     Ok(())
 }
@@ -59,10 +59,10 @@ pub(crate) fn verify(path: &Path) -> Result<()> {
     let mut n_bad = 0;
     for file in &files {
         match model::load(file) {
-            Ok(model) => println!("good: {} {} ({})", model.name, model.version, file.display()),
+            Ok(model) => out!("good: {} {} ({})", model.name, model.version, file.display()),
             Err(error) => {
                 n_bad += 1;
-                println!("bad: {error}");
+                out!("bad: {error}");
             }
         }
     }
@@ -87,7 +87,7 @@ pub(crate) fn export(path: &Path, onnx: &Path, threshold: f64) -> Result<()> {
         })?;
         Ok::<_, TableError>((file, ()))
     })?;
-    println!("{} {} -> {}", model.name, model.version, onnx.display());
+    out!("{} {} -> {}", model.name, model.version, onnx.display());
     Ok(())
 }
 

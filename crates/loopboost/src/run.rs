@@ -8,12 +8,12 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
 use dataset::Dropped;
-use dataset::tables::{Provenance, TableError, digest_file, is_partial};
+use dataset::tables::{Provenance, TableError, digest_file, is_partial, read_provenance};
 use indicatif::{ProgressBar, ProgressStyle};
-use serde::Serialize;
 
-use crate::config::{Config, stem};
-use crate::manifest::{Manifest, Record};
+use crate::config::{Config, stem, usage};
+use crate::manifest::{Manifest, Record, changes};
+use crate::options::{maker_of, options_of};
 
 /// A configuration and the folder its artifacts lie in.
 ///
@@ -34,6 +34,8 @@ pub(crate) struct Run {
     manifest: RefCell<Manifest>,
     /// Digests of files this process has seen and not changed since.
     digests: RefCell<BTreeMap<PathBuf, String>>,
+    /// Tables found to fit the pipeline.
+    fresh: RefCell<BTreeSet<PathBuf>>,
     /// In a dry run: files that would be made again.
     would_change: RefCell<BTreeSet<PathBuf>>,
     /// Held as long as the run lives; the system lets go of it when the process ends, however.
@@ -65,11 +67,10 @@ pub(crate) struct LogFile {
 }
 
 /// A piece of work that is done whole or not at all.
-pub(crate) struct Task<O> {
+pub(crate) struct Task {
     pub(crate) stage: &'static str,
     /// The log it is done for; none for the stages that see all logs.
     pub(crate) log: Option<Arc<str>>,
-    pub(crate) options: O,
     pub(crate) inputs: Vec<PathBuf>,
 }
 
@@ -95,6 +96,7 @@ impl Run {
             config,
             manifest: RefCell::new(Manifest::load(&folder)),
             digests: RefCell::default(),
+            fresh: RefCell::default(),
             would_change: RefCell::default(),
             folder,
             mode,
@@ -125,8 +127,8 @@ impl Run {
         let mut paths: Vec<PathBuf> = simulated.map(|name| self.simulated_log(name)).collect();
         paths.extend(self.config.log_files()?);
         if paths.is_empty() {
-            return Err(anyhow!(
-                "`ingest.logs` is empty: name the logs, or add a [simulate] section"
+            return Err(usage(
+                "`ingest.logs` is empty: name the logs, or add a [simulate] section",
             ));
         }
         let logs: Vec<LogFile> =
@@ -144,16 +146,18 @@ impl Run {
         let names: BTreeSet<&str> = logs.iter().map(|log| &*log.name).collect();
         if let Some(stray) = self.config.ingest.log.keys().find(|log| !names.contains(log.as_str()))
         {
-            return Err(anyhow!("[ingest.log.{stray}]: no log of this run is named `{stray}`"));
+            return Err(usage(format!(
+                "[ingest.log.{stray}]: no log of this run is named `{stray}`"
+            )));
         }
         Ok(logs)
     }
 
     /// Does a task, unless it has been done with the same inputs and options and what it made is
     /// still there, unaltered. Returns what of the data could not be used, then or now.
-    pub(crate) fn task<O: Serialize>(
+    pub(crate) fn task(
         &self,
-        task: &Task<O>,
+        task: &Task,
         work: impl FnOnce(Provenance) -> Result<Done>,
     ) -> Result<Dropped> {
         let name = match &task.log {
@@ -175,10 +179,14 @@ impl Run {
             }
             return Ok(record.dropped);
         }
+        for input in &task.inputs {
+            self.check_fresh(input)?;
+        }
         let done = work(provenance.clone())?;
         let mut outputs = BTreeMap::new();
         for path in &done.outputs {
             self.digests.borrow_mut().remove(path);
+            self.fresh.borrow_mut().remove(path);
             outputs.insert(self.name_of(path), self.digest(path)?);
         }
         for line in &done.said {
@@ -200,10 +208,10 @@ impl Run {
     }
 
     /// Tells whether a task would be done, and why.
-    fn tell<O: Serialize>(
+    fn tell(
         &self,
         name: &str,
-        task: &Task<O>,
+        task: &Task,
         record: Option<&Record>,
         forced: bool,
     ) -> Result<Dropped> {
@@ -241,7 +249,7 @@ impl Run {
             };
             self.would_change.borrow_mut().extend(outputs);
         }
-        println!("{name:<24} {verdict}");
+        out!("{name:<24} {verdict}");
         Ok(Dropped::default())
     }
 
@@ -258,7 +266,7 @@ impl Run {
             .collect()
     }
 
-    fn provenance<O: Serialize>(&self, task: &Task<O>) -> Result<Provenance> {
+    fn provenance(&self, task: &Task) -> Result<Provenance> {
         let inputs = task
             .inputs
             .iter()
@@ -267,10 +275,53 @@ impl Run {
         Ok(Provenance {
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
             seed: self.config.seed,
-            options: serde_json::to_value(&task.options).context("options are JSON")?,
+            options: self.options_of(task.stage, task.log.as_deref())?,
             inputs,
             dropped: Dropped::default(),
         })
+    }
+
+    fn options_of(&self, stage: &str, log: Option<&str>) -> Result<serde_json::Value> {
+        let logs = self.logs()?;
+        let names: Vec<&str> = logs.iter().map(|log| &*log.name).collect();
+        options_of(&self.config, stage, log, &names)
+    }
+
+    /// Refuses a table of the run folder that was made with other options than the run's, or from
+    /// other files than lie beside it now; and so for what it was made from. A stage asked for by
+    /// its own command would otherwise put options into a model that its data were not made with.
+    fn check_fresh(&self, path: &Path) -> Result<()> {
+        let name = self.name_of(path);
+        let Some((stage, log)) = maker_of(&name) else { return Ok(()) };
+        if stage == "simulate" || !self.fresh.borrow_mut().insert(path.to_owned()) {
+            return Ok(());
+        }
+        let (_, made) = read_provenance(path)?;
+        let mut stale = changes(&made.options, &self.options_of(stage, log)?);
+        if made.seed != self.config.seed {
+            stale.push(format!("seed {} is now {}", made.seed, self.config.seed));
+        }
+        for (input, digest) in &made.inputs {
+            let path = self.path(input);
+            if !path.exists() {
+                continue;
+            }
+            if self.digest(&path)? != *digest {
+                stale.push(format!("{input} has changed"));
+            }
+        }
+        if !stale.is_empty() {
+            return Err(anyhow!(
+                "{} does not fit this pipeline: {}; make it again with `loopboost {stage} PIPELINE.toml --out DIR`, or let `loopboost run` make all that is needed",
+                path.display(),
+                stale.join(", ")
+            ));
+        }
+        made.inputs
+            .keys()
+            .map(|input| self.path(input))
+            .filter(|path| path.exists())
+            .try_for_each(|path| self.check_fresh(&path))
     }
 
     /// BLAKE3 digest of a file, read once in a run.
@@ -287,14 +338,14 @@ impl Run {
     fn explain_missing(&self, path: &Path, error: TableError) -> anyhow::Error {
         let is_missing = matches!(&error, TableError::Io { source, .. } if source.kind() == std::io::ErrorKind::NotFound);
         let name = self.name_of(path);
-        let stage = match name.split(['/', '.']).next().unwrap_or_default() {
-            "logs" => "simulate",
-            "scans" | "poses" => "ingest",
-            "keyframes" => "subsample",
-            "pairs" => "label",
-            "features" => "featurize",
-            "scores" | "rounds" => "train",
-            _ => return error.into(),
+        let Some((stage, _)) = maker_of(&name) else {
+            return match is_missing {
+                true => anyhow!(
+                    "{} does not exist (paths in `ingest.logs` are relative to the pipeline file)",
+                    path.display()
+                ),
+                false => error.into(),
+            };
         };
         match is_missing && path.starts_with(&self.folder) {
             true => TableError::Missing {
@@ -314,7 +365,7 @@ impl Run {
 
     /// A result, on stdout.
     pub(crate) fn say(&self, stage: &str, what: impl std::fmt::Display) {
-        println!("{stage:<10} {what}");
+        out!("{stage:<10} {what}");
     }
 }
 
@@ -339,17 +390,13 @@ fn lock(folder: &Path) -> Result<File> {
     }
 }
 
-/// Removes what a killed run has left half written.
+/// Removes what a killed run has left half written, in the folders that a run writes to and in no
+/// others.
 fn remove_partial_files(folder: &Path) -> Result<()> {
-    let mut folders = vec![folder.to_owned()];
-    while let Some(folder) = folders.pop() {
-        let entries = std::fs::read_dir(&folder)
-            .with_context(|| format!("cannot read folder {}", folder.display()))?;
-        for entry in entries {
-            let path = entry.with_context(|| format!("cannot read {}", folder.display()))?.path();
-            if path.is_dir() {
-                folders.push(path);
-            } else if is_partial(&path) {
+    for pattern in [".*", "logs/.*", "scans/.*", "poses/.*", "evaluation/.*", "models/*/*/.*"] {
+        let pattern = format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()));
+        for path in glob::glob(&pattern).into_iter().flatten().flatten() {
+            if is_partial(&path) && path.is_file() {
                 std::fs::remove_file(&path)
                     .with_context(|| format!("cannot remove {}", path.display()))?;
             }

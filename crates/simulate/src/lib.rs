@@ -193,7 +193,8 @@ impl Options {
         self.length_m / self.speed_m_s
     }
 
-    fn check(&self) -> Result<(), SimulateError> {
+    /// Refuses values out of range and names that are no file stems.
+    pub fn check(&self) -> Result<(), SimulateError> {
         if self.logs.is_empty() {
             return Err(SimulateError::NoLogs);
         }

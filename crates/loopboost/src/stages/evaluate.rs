@@ -16,13 +16,8 @@ const INPUTS: [&str; 4] =
 
 /// Scores -> evaluation/, report.html
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let task = Task {
-        stage: "evaluate",
-        log: None,
-        // The report shows them all.
-        options: &run.config,
-        inputs: INPUTS.map(|name| run.path(name)).into(),
-    };
+    let task =
+        Task { stage: "evaluate", log: None, inputs: INPUTS.map(|name| run.path(name)).into() };
     run.task(&task, |provenance| evaluate(run, &provenance))
 }
 

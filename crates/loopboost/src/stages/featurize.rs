@@ -13,7 +13,6 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let task = Task {
         stage: "featurize",
         log: None,
-        options: &run.config.featurize,
         inputs: [run.path("keyframes.parquet")].into_iter().chain(scans).collect(),
     };
     run.task(&task, |provenance| featurize(run, &provenance))

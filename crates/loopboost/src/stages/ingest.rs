@@ -4,34 +4,23 @@ use dataset::tables::scans::write_scans;
 use dataset::tables::{Provenance, write_poses};
 use ingest::{Log, Options};
 
-use crate::config::LogOptions;
 use crate::run::{Done, LogFile, Run, Task, progress_bar};
 
 /// Logs -> scans/LOG.parquet, poses/LOG.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let mut dropped = Dropped::default();
     for log in run.logs()? {
-        let task = Task {
-            stage: "ingest",
-            log: Some(log.name.clone()),
-            // The site is a matter of `subsample`.
-            options: LogOptions { site: None, ..run.config.for_log(&log.name)? },
-            inputs: vec![log.path.clone()],
-        };
-        dropped
-            .merge(run.task(&task, |provenance| ingest_log(run, &log, &task.options, provenance))?);
+        let task =
+            Task { stage: "ingest", log: Some(log.name.clone()), inputs: vec![log.path.clone()] };
+        dropped.merge(run.task(&task, |provenance| ingest_log(run, &log, provenance))?);
     }
     Ok(dropped)
 }
 
-fn ingest_log(
-    run: &Run,
-    file: &LogFile,
-    options: &LogOptions,
-    provenance: Provenance,
-) -> Result<Done> {
+fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done> {
+    let options = run.config.for_log(&file.name)?;
     let log = Log::open(&file.path)?;
-    let options = Options { lidar: options.lidar.clone(), pose: options.pose.clone() };
+    let options = Options { lidar: options.lidar, pose: options.pose };
     let progress = progress_bar(log.bytes().len() as u64, format!("ingest {}", file.name), true);
     let (scans, poses) = (run.scans(&file.name), run.poses(&file.name));
 

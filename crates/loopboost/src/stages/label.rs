@@ -6,12 +6,7 @@ use crate::run::{Done, Run, Task};
 
 /// Keyframes -> pairs.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let task = Task {
-        stage: "label",
-        log: None,
-        options: &run.config.label,
-        inputs: vec![run.path("keyframes.parquet")],
-    };
+    let task = Task { stage: "label", log: None, inputs: vec![run.path("keyframes.parquet")] };
     run.task(&task, |provenance| label(run, &provenance))
 }
 

@@ -17,12 +17,7 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let campus = Campus::new(options, run.config.seed).context("[simulate]")?;
     let progress = progress_bar(options.logs.len() as u64, "simulate".into(), false);
     for (k, name) in options.logs.iter().enumerate() {
-        let task = Task {
-            stage: "simulate",
-            log: Some(Arc::from(name.as_str())),
-            options,
-            inputs: vec![],
-        };
+        let task = Task { stage: "simulate", log: Some(Arc::from(name.as_str())), inputs: vec![] };
         run.task(&task, |_| drive(run, &campus, k, name))?;
         progress.inc(1);
     }

@@ -1,48 +1,28 @@
-use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use anyhow::Result;
 use dataset::Dropped;
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{Provenance, read_poses, write_keyframes};
-use serde::Serialize;
 use subsample::Candidate;
 
+use crate::options::sites;
 use crate::run::{Done, LogFile, Run, Task};
-
-/// `[subsample]`, and the site of each log.
-#[derive(Serialize)]
-struct Options {
-    #[serde(flatten)]
-    subsample: subsample::Options,
-    sites: BTreeMap<Arc<str>, Arc<str>>,
-}
 
 /// Scans and poses -> keyframes.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let logs = run.logs()?;
-    let site = |log: &LogFile| -> Result<(Arc<str>, Arc<str>)> {
-        let site = run.config.for_log(&log.name)?.site;
-        Ok((log.name.clone(), site.map_or(log.name.clone(), Arc::from)))
-    };
     let task = Task {
         stage: "subsample",
         log: None,
-        options: Options {
-            subsample: run.config.subsample.clone(),
-            sites: logs.iter().map(site).collect::<Result<_>>()?,
-        },
         inputs: logs.iter().flat_map(|log| [run.scans(&log.name), run.poses(&log.name)]).collect(),
     };
-    run.task(&task, |provenance| subsample(run, &logs, &task.options, provenance))
+    run.task(&task, |provenance| subsample(run, &logs, provenance))
 }
 
-fn subsample(
-    run: &Run,
-    logs: &[LogFile],
-    options: &Options,
-    provenance: Provenance,
-) -> Result<Done> {
+fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done> {
+    let names: Vec<&str> = logs.iter().map(|log| &*log.name).collect();
+    let sites = sites(&run.config, &names)?;
     let mut done = Done::default();
     let mut keyframes = Vec::new();
     for log in logs {
@@ -58,9 +38,14 @@ fn subsample(
                 usable: header.usable,
             })
             .collect();
-        let site = &options.sites[&log.name];
-        let (of_log, dropped) =
-            subsample::subsample(&options.subsample, &log.name, site, &candidates, &trajectory)?;
+        let site: Arc<str> = sites[&*log.name].as_str().into();
+        let (of_log, dropped) = subsample::subsample(
+            &run.config.subsample,
+            &log.name,
+            &site,
+            &candidates,
+            &trajectory,
+        )?;
         done.said.push(format!(
             "{}: {} keyframes along {:.0} m",
             log.name,

@@ -1,6 +1,3 @@
-use std::collections::BTreeMap;
-use std::sync::Arc;
-
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{
@@ -11,44 +8,35 @@ use evaluate::{Confusion, operating_points};
 use ingest::LidarOptions;
 use model::{FeatureSpec, Learner, Measured, Model, OperatingPoint, ScanSpec, Training};
 use rayon::prelude::*;
-use serde::Serialize;
 use train::{CrossValidated, Matrix, Round};
 
 use crate::config::EvaluateSection;
 use crate::run::{Done, Run, Task};
 
 /// All options that the models depend on or carry.
-#[derive(Serialize)]
 struct Options<'a> {
     name: &'a str,
     train: &'a train::Options,
     evaluate: &'a EvaluateSection,
     label: &'a label::Options,
     featurize: &'a featurize::Options,
-    lidars: BTreeMap<Arc<str>, LidarOptions>,
+    lidars: Vec<LidarOptions>,
 }
 
 /// Pairs and features -> models/, scores.parquet, rounds.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let config = &run.config;
-    let lidars = run.logs()?.into_iter().map(|log| {
-        let options = config.for_log(&log.name)?;
-        Ok((log.name, options.lidar))
-    });
-    let task = Task {
-        stage: "train",
-        log: None,
-        options: Options {
-            name: &config.name,
-            train: &config.train,
-            evaluate: &config.evaluate,
-            label: &config.label,
-            featurize: &config.featurize,
-            lidars: lidars.collect::<Result<_>>()?,
-        },
-        inputs: INPUTS.map(|name| run.path(name)).into(),
+    let lidars = run.logs()?.into_iter().map(|log| Ok(config.for_log(&log.name)?.lidar));
+    let options = Options {
+        name: &config.name,
+        train: &config.train,
+        evaluate: &config.evaluate,
+        label: &config.label,
+        featurize: &config.featurize,
+        lidars: lidars.collect::<Result<_>>()?,
     };
-    run.task(&task, |provenance| train(run, &task.options, &provenance))
+    let task = Task { stage: "train", log: None, inputs: INPUTS.map(|name| run.path(name)).into() };
+    run.task(&task, |provenance| train(run, &options, &provenance))
 }
 
 const INPUTS: [&str; 3] = ["keyframes.parquet", "pairs.parquet", "features.parquet"];
@@ -261,7 +249,7 @@ fn scan_spec(options: &Options<'_>, keyframes: &[Keyframe]) -> ScanSpec {
     let coverage = keyframes.iter().map(|k| k.coverage_deg);
     let (min, max) = coverage.fold((f32::INFINITY, 0f32), |(a, b), c| (a.min(c), b.max(c)));
     // Of logs with limits of their own, the widest.
-    let lidars = options.lidars.values();
+    let lidars = options.lidars.iter();
     ScanSpec {
         is_ring: FULL_RING_DEG <= min,
         coverage_min_deg: min,
