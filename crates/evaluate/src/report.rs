@@ -67,15 +67,26 @@ pub fn report(
 fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
     let count = |label| input.pairs.iter().filter(|pair| pair.label == label).count();
     let last = last_rows(evaluation);
-    let best = last.iter().min_by(|a, b| a.confusion.error().total_cmp(&b.confusion.error()));
+    // A learner without rounds is a baseline.
+    let is_boosted = |row: &&&ErrorRow| input.rounds.iter().any(|r| r.learner == row.learner);
+    let least = |rows: Vec<&&ErrorRow>| -> Option<ErrorRow> {
+        let best =
+            rows.into_iter().min_by(|a, b| a.confusion.error().total_cmp(&b.confusion.error()));
+        best.map(|row| (*row).clone())
+    };
+    let best = least(last.iter().filter(is_boosted).collect());
+    let baseline = least(last.iter().filter(|row| !is_boosted(row)).collect());
     let logs = distinct(input.keyframes.iter().map(|k| &*k.id.log));
     html! {
         @if let Some(best) = best {
             p class="headline" {
                 "Of " (input.pairs.len()) " pairs of scans, "
                 b { (best.learner) } " labels " b { (percent(best.confusion.error())) }
-                " wrongly (" (best.grouping) " folds, T\u{a0}=\u{a0}" (best.rounds) "). The paper reports "
-                (PAPER_ERROR) " on its own campus."
+                " wrongly (" (best.grouping) " folds, T\u{a0}=\u{a0}" (best.rounds) ")"
+                @if let Some(baseline) = baseline {
+                    "; the better baseline, " (baseline.learner) ", " (percent(baseline.confusion.error()))
+                }
+                ". The paper reports " (PAPER_ERROR) " on its own campus."
             }
         }
         p {

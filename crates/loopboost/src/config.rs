@@ -323,7 +323,7 @@ mod tests {
         .unwrap();
         assert!((config.label.positive_radius_m - 2.0).abs() < 1e-12);
         assert_eq!(config.name, "other");
-        assert_eq!(config.train.learners, [model::Learner::Discrete]);
+        assert_eq!(config.train.learners, [train::Learner::Discrete]);
     }
 
     #[test]

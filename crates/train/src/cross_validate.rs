@@ -1,12 +1,11 @@
-use model::Learner;
 use rayon::prelude::*;
 
-use crate::{Matrix, Round, TrainError, classifier, fit};
+use crate::{Learner, Matrix, Round, TrainError, classifier, fit, knn, svm};
 
 /// What training on all folds but one, for each fold, gives.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CrossValidated {
-    /// The rounds fitted without each fold, `(n_folds,)` of up to `n_rounds`.
+    /// The rounds fitted without each fold, `(n_folds,)` of up to `n_rounds`; none for a baseline.
     pub rounds: Vec<Vec<Round>>,
     /// Confidence of each pair after each round, by the classifier that did not see it,
     /// `(n_pairs, n_rounds)`; a learner that stopped early keeps its last confidence.
@@ -34,9 +33,21 @@ pub fn cross_validate(
         .into_par_iter()
         .map(|fold| {
             let training = data.select(&rows_where(&|f| f != fold));
-            let rounds = fit(learner, n_rounds, &training)?;
-            let classifier = classifier(learner, &rounds);
-            let scored = rows_where(&|f| f == fold)
+            let rows = rows_where(&|f| f == fold);
+            let Some(boosting) = learner.boosting() else {
+                training.check()?;
+                let test = data.select(&rows);
+                let confidences = match learner {
+                    Learner::Svm => svm::confidences(&training, &test),
+                    _ => knn::confidences(&training, &test),
+                };
+                // A baseline has no rounds: its confidence is the same after each.
+                let staged = confidences.into_iter().map(|c| vec![c; n_rounds_usize]);
+                return Ok((Vec::new(), rows.into_iter().zip(staged).collect()));
+            };
+            let rounds = fit(boosting, n_rounds, &training)?;
+            let classifier = classifier(boosting, &rounds);
+            let scored = rows
                 .into_iter()
                 .map(|row| {
                     let difference: Vec<f64> =
@@ -64,6 +75,7 @@ pub fn cross_validate(
 #[cfg(test)]
 mod tests {
     use super::*;
+
     use dataset::Label::{Negative, Positive};
 
     /// Pair 0 is an outlier of its own fold: the classifier that scores it learned from the other

@@ -202,17 +202,19 @@ mod tests {
     /// Where alpha1 > alpha2, two rounds label as the first one does.
     #[test]
     fn two_rounds_label_as_one_where_the_first_vote_weighs_more() {
-        // eps1 = 1/8 (4 is wrong), alpha1 = ln 7; round 2 cannot have an error below 1/8.
-        let columns =
-            vec![(1..=8).map(f64::from).collect(), vec![1.0, 1.0, 1.0, 2.0, 1.0, 2.0, 2.0, 1.0]];
-        let labels =
-            vec![Positive, Positive, Positive, Negative, Positive, Negative, Negative, Negative];
-        let data = Matrix::new(columns, labels.clone());
+        // x = 1 to 8, + + + - - - - +. Round 1: theta 3.5, 8 is wrong, eps = 1/8, alpha = ln 7.
+        // Round 2: 8 weighs 1/2, the others 1/14; theta 7.5, positive above, is wrong for 1, 2
+        // and 3: eps = 3/14, alpha = ln(11/3).
+        let labels = [[Positive; 3].as_slice(), &[Negative; 4], &[Positive]].concat();
+        let columns = vec![(1..=8).map(f64::from).collect()];
+        let data = Matrix::new(columns, labels);
         let rounds = fit(2, &data);
-        assert!(vote(&rounds[0]).3 > vote(&rounds[1]).3);
+        assert!((vote(&rounds[0]).3 - 7f64.ln()).abs() < 1e-12);
+        assert!((vote(&rounds[1]).3 - (11f64 / 3.0).ln()).abs() < 1e-12);
+        assert_eq!(vote(&rounds[1]).1, 7.5);
         let classifier = crate::classifier(model::Learner::Discrete, &rounds);
         for row in 0..8 {
-            let difference = [data.column(0)[row], data.column(1)[row]];
+            let difference = [data.column(0)[row]];
             let staged: Vec<f64> = classifier.staged_confidences(&difference).collect();
             assert_eq!(
                 Label::from_confidence(staged[0], 0.0),

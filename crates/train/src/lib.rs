@@ -4,14 +4,17 @@
 //! Every sum over pairs runs in one fixed order, so that results are the same to the bit for any
 //! number of threads; what runs in parallel are features, folds and learners.
 
+mod baseline;
 mod cross_validate;
 mod discrete;
 mod gentle;
 mod gentle_line;
 mod gentle_stump;
+mod knn;
 mod matrix;
+mod svm;
 
-use model::{Classifier, Learner, WeakLearner};
+use model::{Classifier, WeakLearner};
 use serde::{Deserialize, Serialize};
 
 pub use cross_validate::{CrossValidated, cross_validate};
@@ -33,6 +36,44 @@ impl Default for Options {
         Self {
             learners: vec![Learner::Discrete, Learner::GentleLine, Learner::GentleStump],
             rounds: 50,
+        }
+    }
+}
+
+/// What can be fitted to labelled pairs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Learner {
+    /// Discrete AdaBoost over decision stumps (the paper's Algorithm 1).
+    Discrete,
+    /// Gentle AdaBoost over weighted least-squares lines (Algorithm 2 by the paper's words).
+    GentleLine,
+    /// Gentle AdaBoost over regression stumps (Friedman, Hastie and Tibshirani 2000).
+    GentleStump,
+    /// Baseline: 5 nearest neighbours. Evaluated, not saved.
+    Knn,
+    /// Baseline: a linear support vector machine. Evaluated, not saved.
+    Svm,
+}
+
+impl Learner {
+    /// The name in options and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Knn => "knn",
+            Self::Svm => "svm",
+            _ => self.boosting().map_or("", model::Learner::name),
+        }
+    }
+
+    /// The boosting learner, whose classifier is saved; none for the baselines.
+    pub fn boosting(self) -> Option<model::Learner> {
+        match self {
+            Self::Discrete => Some(model::Learner::Discrete),
+            Self::GentleLine => Some(model::Learner::GentleLine),
+            Self::GentleStump => Some(model::Learner::GentleStump),
+            Self::Knn | Self::Svm => None,
         }
     }
 }
@@ -83,15 +124,19 @@ pub struct Round {
 
 /// Fits a learner with up to `n_rounds` rounds; Discrete stops early where no stump is better
 /// than chance.
-pub fn fit(learner: Learner, n_rounds: u32, data: &Matrix) -> Result<Vec<Round>, TrainError> {
+pub fn fit(
+    learner: model::Learner,
+    n_rounds: u32,
+    data: &Matrix,
+) -> Result<Vec<Round>, TrainError> {
     if n_rounds == 0 {
         return Err(TrainError::NoRounds);
     }
     data.check()?;
     let rounds = match learner {
-        Learner::Discrete => discrete::fit(n_rounds, data),
-        Learner::GentleLine => gentle::fit::<gentle_line::Line>(n_rounds, data),
-        Learner::GentleStump => gentle::fit::<gentle_stump::Stump>(n_rounds, data),
+        model::Learner::Discrete => discrete::fit(n_rounds, data),
+        model::Learner::GentleLine => gentle::fit::<gentle_line::Line>(n_rounds, data),
+        model::Learner::GentleStump => gentle::fit::<gentle_stump::Stump>(n_rounds, data),
     };
     if rounds.is_empty() {
         return Err(TrainError::NothingToLearn { n_pairs: data.n_rows() });
@@ -100,7 +145,7 @@ pub fn fit(learner: Learner, n_rounds: u32, data: &Matrix) -> Result<Vec<Round>,
 }
 
 /// The classifier of fitted rounds.
-pub fn classifier(learner: Learner, rounds: &[Round]) -> Classifier {
+pub fn classifier(learner: model::Learner, rounds: &[Round]) -> Classifier {
     Classifier { learner, rounds: rounds.iter().map(|round| round.weak).collect() }
 }
 

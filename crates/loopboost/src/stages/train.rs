@@ -6,9 +6,9 @@ use dataset::tables::{
 use dataset::{BoostingRound, Dropped, FULL_RING_DEG, Keyframe, Label, Pair, Scores};
 use evaluate::{Confusion, operating_points};
 use ingest::LidarOptions;
-use model::{FeatureSpec, Learner, Measured, Model, OperatingPoint, ScanSpec, Training};
+use model::{FeatureSpec, Measured, Model, OperatingPoint, ScanSpec, Training};
 use rayon::prelude::*;
-use train::{CrossValidated, Matrix, Round};
+use train::{CrossValidated, Learner, Matrix, Round};
 
 use crate::config::EvaluateSection;
 use crate::run::{Done, Run, Task};
@@ -88,7 +88,9 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
         },
     };
     for fitted in &fitted {
-        let model = model_of(options, fitted, &data, &context);
+        // Baselines are evaluated, not saved.
+        let Some(boosting) = fitted.learner.boosting() else { continue };
+        let model = model_of(options, fitted, boosting, &data, &context);
         let folder = model::save(&run.path("models"), &model)?;
         let error = model.measured.first().map_or(f64::NAN, |m| m.error * 100.0);
         done.said.push(format!(
@@ -115,7 +117,10 @@ fn fit(
     groupings: &[(&'static str, Vec<u32>)],
 ) -> Result<Fitted> {
     let n_rounds = options.train.rounds;
-    let rounds = train::fit(learner, n_rounds, data)?;
+    let rounds = match learner.boosting() {
+        Some(boosting) => train::fit(boosting, n_rounds, data)?,
+        None => Vec::new(),
+    };
     let mut cross_validated = Vec::new();
     let mut scores = Vec::new();
     for (grouping, folds) in groupings {
@@ -165,7 +170,13 @@ struct Context {
     features: FeatureSpec,
 }
 
-fn model_of(options: &Options<'_>, fitted: &Fitted, data: &Matrix, context: &Context) -> Model {
+fn model_of(
+    options: &Options<'_>,
+    fitted: &Fitted,
+    boosting: model::Learner,
+    data: &Matrix,
+    context: &Context,
+) -> Model {
     let mut measured = Vec::new();
     let mut points = Vec::new();
     for scores in &fitted.scores {
@@ -203,7 +214,7 @@ fn model_of(options: &Options<'_>, fitted: &Fitted, data: &Matrix, context: &Con
         training: context.training.clone(),
         measured,
         operating_points: points,
-        classifier: train::classifier(fitted.learner, &fitted.rounds),
+        classifier: train::classifier(boosting, &fitted.rounds),
     }
 }
 

@@ -1,0 +1,51 @@
+//! k nearest neighbours, k = 5: Euclidean distance over features normalised on the training fold.
+//!
+//! The confidence is the mean of the neighbours' labels, -1 to 1. Every pair is compared with every
+//! training pair: fit for thousands of pairs, not for millions.
+
+use crate::baseline::normalised;
+use crate::matrix::Matrix;
+
+/// Neighbours that vote; odd, so that there is no tie (the paper's k).
+const K: usize = 5;
+
+/// Confidences of the test rows, `(n_test,)`.
+pub(crate) fn confidences(training: &Matrix, test: &Matrix) -> Vec<f64> {
+    let n_features = training.columns().len();
+    let (training_rows, test_rows) = normalised(training, test);
+    let k = K.min(training.n_rows());
+    test_rows
+        .chunks(n_features)
+        .map(|x| {
+            let mut neighbours: Vec<(f64, usize)> = training_rows
+                .chunks(n_features)
+                .map(|y| x.iter().zip(y).map(|(a, b)| (a - b) * (a - b)).sum())
+                .zip(0..)
+                .collect();
+            // Of equal distances the earlier row is nearer.
+            neighbours
+                .select_nth_unstable_by(k - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            let votes: f64 =
+                neighbours[..k].iter().map(|&(_, row)| training.labels()[row].target()).sum();
+            votes / k as f64
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dataset::Label::{Negative, Positive};
+
+    /// Positives at 0 to 3, negatives at 10 to 13, and a second feature that is constant: at 2 the
+    /// five nearest are the four positives and the negative at 10; at 11, all four negatives and
+    /// the positive at 3.
+    #[test]
+    fn the_five_nearest_vote() {
+        let x: Vec<f64> = [0, 1, 2, 3, 10, 11, 12, 13].map(f64::from).into();
+        let labels = [[Positive; 4], [Negative; 4]].concat();
+        let training = Matrix::new(vec![x, vec![7.0; 8]], labels);
+        let test = Matrix::new(vec![vec![2.0, 11.0], vec![7.0, 99.0]], vec![Positive, Negative]);
+        assert_eq!(confidences(&training, &test), [0.6, -0.6]);
+    }
+}
