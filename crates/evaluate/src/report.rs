@@ -67,8 +67,7 @@ pub fn report(
 fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
     let count = |label| input.pairs.iter().filter(|pair| pair.label == label).count();
     let last = last_rows(evaluation);
-    // A learner without rounds is a baseline.
-    let is_boosted = |row: &&&ErrorRow| input.rounds.iter().any(|r| r.learner == row.learner);
+    let is_boosted = |row: &&&ErrorRow| is_boosted(input, &row.learner);
     let least = |rows: Vec<&&ErrorRow>| -> Option<ErrorRow> {
         let best =
             rows.into_iter().min_by(|a, b| a.confusion.error().total_cmp(&b.confusion.error()));
@@ -96,6 +95,11 @@ fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
             ": " (logs.join(", ")) "."
         }
     }
+}
+
+/// A learner without rounds is a baseline.
+fn is_boosted(input: &Input<'_>, learner: &str) -> bool {
+    input.rounds.iter().any(|round| round.learner == learner)
 }
 
 fn results(input: &Input<'_>, evaluation: &Evaluation, grouping: &str, named: bool) -> Markup {
@@ -129,7 +133,8 @@ fn results(input: &Input<'_>, evaluation: &Evaluation, grouping: &str, named: bo
                             @let recall_at = |name: &str| points.iter().find(|p| p.name == name).map(|p| p.point.confusion.recall());
                             @if let Some(last) = row(&s.learner, s.n_rounds) {
                                 tr {
-                                    th { (s.learner) } td { (s.n_rounds) }
+                                    th { (s.learner) }
+                                    td { @if is_boosted(input, &s.learner) { (s.n_rounds) } @else { "baseline" } }
                                     td { (percent(last.confusion.error())) }
                                     td { (optional(row(&s.learner, PRECISION_RECALL_ROUNDS).map(|r| r.confusion.error()))) }
                                     td { (optional(last.confusion.precision())) }
