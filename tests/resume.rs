@@ -153,8 +153,11 @@ fn a_run_killed_at_any_moment_ends_with_the_same_bytes() {
     let whole_ms = start.elapsed().as_millis() as u64;
     let expected = workplace.files("whole");
     let n: u64 = std::env::var("LOOPBOOST_KILLS").map_or(8, |n| n.parse().expect("a number"));
-    let mut n_killed = 0;
-    for k in 0..n {
+    let (mut n_killed, mut k) = (0, 0);
+    // A run that had ended already does not count.
+    while n_killed < n {
+        k += 1;
+        assert!(k < 10 * n + 10, "{n_killed} kills in {k} runs");
         let out = workplace.path("killed");
         let mut child = Command::new(assert_cmd::cargo::cargo_bin!("loopboost"))
             .args(["run", workplace.path("drive.toml").to_str().unwrap(), "--out"])
@@ -163,7 +166,7 @@ fn a_run_killed_at_any_moment_ends_with_the_same_bytes() {
             .spawn()
             .unwrap();
         // Somewhere in the run, by a multiplicative sequence over its length.
-        std::thread::sleep(Duration::from_millis((k * 7919 + 37) % whole_ms.max(2)));
+        std::thread::sleep(Duration::from_millis((k * 7919 + 37) % (whole_ms * 3 / 4).max(2)));
         n_killed += u64::from(child.try_wait().unwrap().is_none());
         child.kill().unwrap();
         child.wait().unwrap();
@@ -180,8 +183,7 @@ fn a_run_killed_at_any_moment_ends_with_the_same_bytes() {
         }
         fs::remove_dir_all(&out).unwrap();
     }
-    assert!(n / 2 <= n_killed, "{n_killed} of {n} were killed in time");
-    println!("{n_killed} of {n} runs were killed before their end; all resumed to the same bytes");
+    println!("{n_killed} of {k} runs were killed before their end; all resumed to the same bytes");
 }
 
 #[test]

@@ -106,6 +106,17 @@ fn the_readme_maps_every_crate_and_folder() {
     }
 }
 
+/// The pipeline file that the README shows is understood.
+#[test]
+fn the_readme_shows_a_pipeline_that_is_understood() {
+    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    let (_, rest) = readme.split_once("```toml\n").unwrap();
+    let (pipeline, _) = rest.split_once("```").unwrap();
+    let workplace = crate::support::Workplace::new(pipeline);
+    let path = workplace.path("drive.toml");
+    crate::support::loopboost(&["run", path.to_str().unwrap(), "--print-config"]).expect(0);
+}
+
 #[test]
 fn the_readme_and_ci_say_the_same_commands() {
     let readme = fs::read_to_string(root().join("README.md")).unwrap();

@@ -111,6 +111,7 @@ fn results(input: &Input<'_>, evaluation: &Evaluation, grouping: &str, named: bo
             .iter()
             .find(|r| r.learner == learner && r.grouping == grouping && r.rounds == rounds)
     };
+    let few = scores.first().map_or(0, |s| s.n_rounds).min(PRECISION_RECALL_ROUNDS);
     let folds = scores.first().map_or(0, |s| s.folds.iter().max().map_or(0, |f| f + 1));
     html! {
         section {
@@ -123,7 +124,7 @@ fn results(input: &Input<'_>, evaluation: &Evaluation, grouping: &str, named: bo
             div class="scroll" {
                 table {
                     thead { tr {
-                        th { "learner" } th { "T" } th { "error" } th { "error at T = " (PRECISION_RECALL_ROUNDS) }
+                        th { "learner" } th { "T" } th { "error" } th { "error at T\u{a0}=\u{a0}" (few) }
                         th { "precision" } th { "recall" } th { "recall at 100 % precision" } th { "detection at 1 % false alarm" }
                     } }
                     tbody {
@@ -136,7 +137,7 @@ fn results(input: &Input<'_>, evaluation: &Evaluation, grouping: &str, named: bo
                                     th { (s.learner) }
                                     td { @if is_boosted(input, &s.learner) { (s.n_rounds) } @else { "baseline" } }
                                     td { (percent(last.confusion.error())) }
-                                    td { (optional(row(&s.learner, PRECISION_RECALL_ROUNDS).map(|r| r.confusion.error()))) }
+                                    td { (optional(row(&s.learner, few).map(|r| r.confusion.error()))) }
                                     td { (optional(last.confusion.precision())) }
                                     td { (percent(last.confusion.recall())) }
                                     td { (optional(recall_at("recall at 100 % precision"))) }
@@ -154,7 +155,7 @@ fn results(input: &Input<'_>, evaluation: &Evaluation, grouping: &str, named: bo
                 }
                 figure {
                     (precision_recall_chart(evaluation, grouping).svg())
-                    figcaption { "Precision against recall at T = " (PRECISION_RECALL_ROUNDS) " (paper, Figure 5)." }
+                    figcaption { "Precision against recall at T\u{a0}=\u{a0}" (few) " (paper, Figure 5)." }
                 }
             }
         }

@@ -4,12 +4,11 @@
 //! It holds no times and no paths outside the run folder: the same run gives the same bytes.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow};
 use dataset::Dropped;
-use dataset::tables::{Provenance, TableError, write_atomically};
+use dataset::tables::{Provenance, write_file};
 use serde::{Deserialize, Serialize};
 
 /// Version of the layout of `run.json`; a file of another version is not read, and everything is
@@ -74,15 +73,7 @@ impl Manifest {
         self.format_version = FORMAT_VERSION;
         let mut json = serde_json::to_string_pretty(self)?;
         json.push('\n');
-        let path = Self::path(folder);
-        write_atomically(&path, |mut file| {
-            file.write_all(json.as_bytes()).map_err(|source| TableError::Io {
-                action: "write",
-                path: path.clone(),
-                source,
-            })?;
-            Ok::<_, TableError>((file, ()))
-        })?;
+        write_file(&Self::path(folder), json.as_bytes())?;
         Ok(())
     }
 }

@@ -1,10 +1,9 @@
 //! `model list | show | diff | verify | export`
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
-use dataset::tables::{TableError, write_atomically};
+use dataset::tables::write_file;
 
 use crate::manifest::changes;
 
@@ -78,15 +77,7 @@ pub(crate) fn export(path: &Path, onnx: &Path, threshold: f64) -> Result<()> {
     if !threshold.is_finite() {
         return Err(anyhow!("--threshold is {threshold}, expected a finite number"));
     }
-    let bytes = model::to_onnx(&model, threshold);
-    write_atomically(onnx, |mut file| {
-        file.write_all(&bytes).map_err(|source| TableError::Io {
-            action: "write",
-            path: onnx.to_owned(),
-            source,
-        })?;
-        Ok::<_, TableError>((file, ()))
-    })?;
+    write_file(onnx, &model::to_onnx(&model, threshold))?;
     out!("{} {} -> {}", model.name, model.version, onnx.display());
     Ok(())
 }

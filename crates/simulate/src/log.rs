@@ -30,46 +30,6 @@ const ZSTD_LEVEL: u32 = 3;
 /// Messages made at a time, on all threads, while the ones before are written.
 const WINDOW: u64 = 16;
 
-/// ROS 1 schema texts, in the form that MCAP prescribes for `ros1msg` (the ROS 1 packages
-/// `velodyne_msgs`, `geometry_msgs` and `std_msgs`, their `.msg` files without comments).
-const ROS1_VELODYNE_SCAN: &str = "\
-std_msgs/Header header
-velodyne_msgs/VelodynePacket[] packets
-================================================================================
-MSG: std_msgs/Header
-uint32 seq
-time stamp
-string frame_id
-================================================================================
-MSG: velodyne_msgs/VelodynePacket
-time stamp
-uint8[1206] data
-";
-const ROS1_POSE_STAMPED: &str = "\
-std_msgs/Header header
-geometry_msgs/Pose pose
-================================================================================
-MSG: std_msgs/Header
-uint32 seq
-time stamp
-string frame_id
-================================================================================
-MSG: geometry_msgs/Pose
-geometry_msgs/Point position
-geometry_msgs/Quaternion orientation
-================================================================================
-MSG: geometry_msgs/Point
-float64 x
-float64 y
-float64 z
-================================================================================
-MSG: geometry_msgs/Quaternion
-float64 x
-float64 y
-float64 z
-float64 w
-";
-
 /// How one encoding is named in an MCAP file, and its schemas as (name, text).
 struct Dialect {
     profile: &'static str,
@@ -96,8 +56,8 @@ impl Dialect {
                 schema_encoding: "ros1msg",
                 message_encoding: "ros1",
                 wire: ros::Encoding::Ros1,
-                velodyne_scan: ("velodyne_msgs/VelodyneScan", ROS1_VELODYNE_SCAN),
-                pose_stamped: ("geometry_msgs/PoseStamped", ROS1_POSE_STAMPED),
+                velodyne_scan: (schemas::ROS1_VELODYNE_SCAN_NAME, schemas::ROS1_VELODYNE_SCAN),
+                pose_stamped: (schemas::ROS1_POSE_STAMPED_NAME, schemas::ROS1_POSE_STAMPED),
             },
         }
     }

@@ -161,10 +161,10 @@ impl Sensor {
         for (block, azimuth) in azimuths.into_iter().enumerate() {
             let block_ns = start_ns + block as i64 * BLOCK_PERIOD_NS;
             let next = drive.position_at(block_ns + BLOCK_PERIOD_NS);
-            let sweep = Sweep::new(here, next, azimuth, step, self.y_sign);
-            let people = crowd.near(block_ns, &sweep);
+            let motion = BlockMotion::new(here, next, azimuth, step, self.y_sign);
+            let people = crowd.near(block_ns, &motion);
             for beam in &self.beams {
-                let (from, direction) = sweep.at(beam.laser);
+                let (from, direction) = motion.at(beam.laser);
                 let echo = beam.echo(drive.walls(), &people, from, direction);
                 if let Some((counts, intensity)) = self.measure(echo, random) {
                     builder.set_return(block, beam.laser, counts, intensity);
@@ -213,7 +213,7 @@ impl Beam {
 ///
 /// Position and direction change linearly from laser to laser; over 46 us that is exact to
 /// 1e-9 m and 1e-9 rad.
-struct Sweep {
+struct BlockMotion {
     from: Point,
     /// Way of the robot until the next block.
     moved: Vector,
@@ -223,7 +223,7 @@ struct Sweep {
     turned: f64,
 }
 
-impl Sweep {
+impl BlockMotion {
     fn new(
         here: (Point, Vector),
         next: (Point, Vector),
@@ -266,18 +266,18 @@ struct Crowd {
 
 impl Crowd {
     /// Those that a beam can meet during a block.
-    fn near(&self, block_ns: i64, sweep: &Sweep) -> Vec<Point> {
+    fn near(&self, block_ns: i64, motion: &BlockMotion) -> Vec<Point> {
         let share = (block_ns - self.from_ns) as f64 / (self.to_ns - self.from_ns) as f64;
         let people = self.from.iter().zip(&self.to);
         people
             .map(|(from, to)| from + (to - from) * share)
             .filter(|person| {
-                let way = person - sweep.from;
-                let ahead = way.dot(&sweep.direction);
+                let way = person - motion.from;
+                let ahead = way.dot(&motion.direction);
                 // The beam turns on within the block.
-                let aside = PERSON_RADIUS_M + ahead * sweep.turned.abs();
+                let aside = PERSON_RADIUS_M + ahead * motion.turned.abs();
                 0.0 < ahead
-                    && cross(sweep.direction, way).abs() < aside
+                    && cross(motion.direction, way).abs() < aside
                     && STEP_ASIDE_M * STEP_ASIDE_M < way.norm_squared()
             })
             .collect()
@@ -309,8 +309,8 @@ mod tests {
 
     fn range_m(laser: usize, azimuth_deg: f64, people: &[Point], is_upside_down: bool) -> f64 {
         let y_sign = if is_upside_down { 1.0 } else { -1.0 };
-        let sweep = Sweep::new(still(), still(), azimuth_deg * 100.0, 0.0, y_sign);
-        let (from, direction) = sweep.at(laser);
+        let motion = BlockMotion::new(still(), still(), azimuth_deg * 100.0, 0.0, y_sign);
+        let (from, direction) = motion.at(laser);
         Beam::new(laser, is_upside_down).echo(&room(), people, from, direction).unwrap().range_m
     }
 
@@ -356,7 +356,7 @@ mod tests {
     #[test]
     fn a_laser_fires_at_its_own_time_and_azimuth() {
         let next = (Point::new(0.008, 0.0), Vector::new(1.0, 0.0));
-        let (from, direction) = Sweep::new(still(), next, 9000.0, 40.0, -1.0).at(15);
+        let (from, direction) = BlockMotion::new(still(), next, 9000.0, 40.0, -1.0).at(15);
         check(from.x, 0.003);
         check(direction.x, -0.002618); // cos 90.15 deg
         check(direction.y, -1.0);

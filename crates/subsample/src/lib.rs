@@ -59,7 +59,7 @@ pub enum SubsampleError {
     },
     /// Scans and poses do not meet.
     #[error(
-        "log `{log}`: none of its {n_scans} scans could be kept ({dropped}); are the stamps of lidar and poses of one clock?"
+        "log `{log}`: none of its {n_scans} scans could be kept ({dropped}); check that the stamps of lidar and poses are of one clock, `subsample.max_pose_gap_secs`, and the lidar's range limits"
     )]
     NoKeyframes {
         /// The log.
@@ -202,7 +202,9 @@ mod tests {
 
     #[test]
     fn the_next_scan_takes_the_place_of_an_unusable_one() {
-        let dropped = check(&[0.0, 0.5, 1.0, 1.5], &[0, 4], &[(1, 0.0), (3, 0.5), (5, 1.0)]);
+        // Scan 3 would be the second keyframe; scan 4 is, 0.75 m from the first.
+        let expected = [(1, 0.0), (4, 0.75), (6, 1.25)];
+        let dropped = check(&[0.0, 0.5, 1.0, 1.5], &[0, 3], &expected);
         assert_eq!(dropped.to_string(), "2 scans with fewer than 3 returns or all on one line");
     }
 

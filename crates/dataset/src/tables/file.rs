@@ -49,6 +49,14 @@ pub fn write_atomically<T, E: From<TableError>>(
     written
 }
 
+/// Writes a file whole or not at all.
+pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_atomically(path, |mut file| match file.write_all(bytes) {
+        Ok(()) => Ok((file, ())),
+        Err(source) => Err(TableError::Io { action: "write", path: path.to_owned(), source }),
+    })
+}
+
 /// `keyframes.parquet` is written as `.keyframes.parquet.partial`.
 fn partial_path(path: &Path) -> PathBuf {
     let mut name = OsString::from(".");

@@ -25,7 +25,7 @@ mod scores;
 use std::path::PathBuf;
 
 pub use file::{
-    digest_file, is_partial, read_provenance, read_table, write_atomically, write_table,
+    digest_file, is_partial, read_provenance, read_table, write_atomically, write_file, write_table,
 };
 pub use nouns::{
     FeatureTable, batch, floats, read_features, read_keyframes, read_pairs, read_poses, strings,

@@ -1,10 +1,8 @@
-use std::io::Write;
-
 use anyhow::Result;
 use dataset::Dropped;
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{
-    Provenance, TableError, read_keyframes, read_pairs, read_rounds, read_scores, write_atomically,
+    Provenance, read_keyframes, read_pairs, read_rounds, read_scores, write_file,
 };
 use evaluate::{Evaluation, Fact, Input};
 
@@ -50,14 +48,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         evaluate::write_tables(&run.path("evaluation"), provenance, &input, &evaluation)?;
     let path = run.path("report.html");
     let html = evaluate::report(&run.config.name, &input, &evaluation, &facts, provenance);
-    write_atomically(&path, |mut file| {
-        file.write_all(html.as_bytes()).map_err(|source| TableError::Io {
-            action: "write",
-            path: path.clone(),
-            source,
-        })?;
-        Ok::<_, TableError>((file, ()))
-    })?;
+    write_file(&path, html.as_bytes())?;
     done.said.push("report.html".to_owned());
     done.outputs.push(path);
     Ok(done)

@@ -37,11 +37,14 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
     progress.finish_and_clear();
     let provenance = Provenance { dropped: ingested.dropped.clone(), ..provenance };
     write_poses(&poses, &provenance, &file.name, &ingested.trajectory)?;
-    let said = format!(
+    let mut said = format!(
         "{}: {} scans, {} poses",
         file.name,
         ingested.n_scans,
         ingested.trajectory.poses().len()
     );
+    if ingested.n_partial_turns > 0 {
+        said.push_str(&format!("; {} turns cut by the log's ends", ingested.n_partial_turns));
+    }
     Ok(Done { outputs: vec![scans, poses], dropped: ingested.dropped, said: vec![said] })
 }
