@@ -60,6 +60,9 @@ pub fn cross_validate(
                 .collect();
             Ok((rounds, scored))
         })
+        .collect::<Vec<Result<_, TrainError>>>()
+        // Of several errors the first fold's, whichever came first in time.
+        .into_iter()
         .collect::<Result<_, TrainError>>()?;
     let mut confidences = vec![0.0; folds.len() * n_rounds_usize];
     let mut rounds = Vec::with_capacity(by_fold.len());

@@ -37,6 +37,8 @@ fn featurize(run: &Run, provenance: &Provenance) -> Result<Done> {
             let features = batch
                 .par_iter()
                 .map_init(|| Paper16::new(options.gate_m), Paper16::features)
+                .collect::<Vec<_>>()
+                .into_iter()
                 .collect::<Result<Vec<_>, _>>()
                 .with_context(|| format!("{}: a keyframe has no features", path.display()))?;
             for (features, &(_, row)) in features.iter().zip(&mut rows) {

@@ -64,6 +64,8 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
         .learners
         .par_iter()
         .map(|&learner| fit(options, learner, &data, &groupings))
+        .collect::<Vec<_>>()
+        .into_iter()
         .collect::<Result<Vec<_>>>()?;
     let names = &features.names;
     let scores: Vec<Scores> = fitted.iter().flat_map(|f| f.scores.iter().cloned()).collect();
