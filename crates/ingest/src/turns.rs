@@ -21,6 +21,9 @@ const PACKETS_TO_IDENTIFY: usize = 200;
 const MAX_STEPS: f64 = 2.5;
 /// Time between two packets beyond which the recording is taken to have been interrupted \[us\].
 const INTERRUPTED_US: f64 = 2e6;
+/// A packet that was fired up to so long before the one ahead of it came late on the network;
+/// beyond, the device clock was set back \[us\].
+const LATE_US: f64 = 20e3;
 /// Firings in a turn beyond which the sensor is taken to have stalled: 0.46 s, where the slowest
 /// turn, at 5 Hz, takes 0.2 s.
 const MAX_FIRINGS: usize = 10_000;
@@ -294,8 +297,8 @@ fn link(earlier: &RingPacket, later: &RingPacket) -> Link {
     if device_us == 0.0 && earlier.azimuth == later.azimuth && mean_step > 0.0 {
         return Link::Repeated;
     }
-    if -INTERRUPTED_US < device_us && device_us < 0.0 {
-        return Link::OutOfOrder;
+    if device_us < 0.0 {
+        return if -LATE_US < device_us { Link::OutOfOrder } else { Link::Interrupted };
     }
     // The device clock is the finer one; where it stands still the stamps must do. Where the two
     // disagree, one of them has jumped, or a whole number of hours has passed.
@@ -527,6 +530,15 @@ mod tests {
         swapped.swap(100, 101);
         let (turns, ends) = cut(&swapped);
         assert_eq!((turns.len(), reasons(&ends)), (2, vec![("packets out of order", 1)]));
+        // A clock that was set back by a second is no second's worth of late packets.
+        let mut set_back = packets(800, 35_000, 20);
+        for packet in &mut set_back[400..] {
+            let device_us = u64::from(packet.device_us) + u64::from(HOUR_US) - 1_000_000;
+            packet.device_us = (device_us % u64::from(HOUR_US)) as u32;
+        }
+        let (turns, ends) = cut(&set_back);
+        let expected = "interruptions of the packet stream (clock jump or pause)";
+        assert_eq!((turns.len(), reasons(&ends)), (4, vec![(expected, 1)]));
     }
 
     #[test]
