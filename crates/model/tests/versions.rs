@@ -233,8 +233,7 @@ fn a_model_with_a_number_that_cannot_be_is_not_saved() {
 
 #[test]
 fn a_model_whose_name_is_a_path_is_not_saved() {
-    for name in ["../campus", "..", ".", "", "/campus", "a/b", "a\\b", ".git", "a b", "käfer"]
-    {
+    for name in ["../campus", "..", ".", "", "/campus", "a/b", "a\\b", ".git", "a b", "käfer"] {
         check_refused(|m| m.name = name.into(), &format!("name: `{name}`, expected letters"));
     }
 }
