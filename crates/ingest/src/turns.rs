@@ -133,8 +133,7 @@ impl TurnCutter {
             self.pending = Some(*packet);
             return;
         };
-        let link = link(&pending, packet);
-        match link {
+        match link(&pending, packet) {
             Link::Repeated => {
                 self.ends.dropped.add("packets that are there twice", 1);
                 return;
@@ -143,10 +142,6 @@ impl TurnCutter {
                 self.ends.dropped.add("packets out of order", 1);
                 return;
             }
-            _ => self.pending = Some(*packet),
-        }
-        match link {
-            Link::Repeated | Link::OutOfOrder => {}
             Link::Next(step) => self.add(&pending, step, turns),
             Link::Hole(turned) => {
                 let step = own_step(&pending);
@@ -161,6 +156,7 @@ impl TurnCutter {
                 self.interrupt(turns);
             }
         }
+        self.pending = Some(*packet);
     }
 
     /// Adds the last packet and ends the last turn.

@@ -22,13 +22,6 @@ impl Learner {
             Self::GentleStump => "gentle_stump",
         }
     }
-
-    /// The learner of a name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        [Self::Discrete, Self::GentleLine, Self::GentleStump]
-            .into_iter()
-            .find(|learner| learner.name() == name)
-    }
 }
 
 /// One round of boosting: a function of one feature, added to the confidence.
@@ -157,13 +150,5 @@ mod tests {
         assert_eq!(staged, [0.5, 0.75, -4.25, -3.5]);
         // At its threshold a vote is -, whatever its polarity; a step is above.
         assert_eq!(classifier.confidence(&[1.0, 2.0]), -0.5 - 0.25 - 1.0 - 0.125);
-    }
-
-    #[test]
-    fn names_round_trip() {
-        for learner in [Learner::Discrete, Learner::GentleLine, Learner::GentleStump] {
-            assert_eq!(Learner::from_name(learner.name()), Some(learner));
-        }
-        assert_eq!(Learner::from_name("adaboost"), None);
     }
 }

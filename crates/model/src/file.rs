@@ -244,7 +244,7 @@ pub fn load(path: &Path) -> Result<Model, ModelError> {
     if file.digest != expected {
         return Err(ModelError::Digest { path: path.to_owned(), found: file.digest, expected });
     }
-    from_file(file).map_err(invalid)
+    Ok(from_file(file))
 }
 
 fn to_json(model: &Model) -> String {
@@ -301,7 +301,8 @@ fn to_file(model: &Model) -> ModelFile {
     file
 }
 
-fn from_file(file: ModelFile) -> Result<Model, String> {
+/// The model of a file that has been checked.
+fn from_file(file: ModelFile) -> Model {
     let index: BTreeMap<&str, usize> =
         file.features.names.iter().zip(0..).map(|(name, k)| (name.as_str(), k)).collect();
     let rounds = file
@@ -322,7 +323,7 @@ fn from_file(file: ModelFile) -> Result<Model, String> {
             }
         })
         .collect();
-    Ok(Model {
+    Model {
         name: file.name,
         version: file.version,
         program_version: file.program_version,
@@ -334,7 +335,7 @@ fn from_file(file: ModelFile) -> Result<Model, String> {
         measured: file.measured,
         operating_points: file.operating_points,
         classifier: Classifier { learner: file.learner, rounds },
-    })
+    }
 }
 
 impl Round {

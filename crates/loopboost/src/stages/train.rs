@@ -108,7 +108,8 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
 struct Fitted {
     learner: Learner,
     rounds: Vec<Round>,
-    cross_validated: Vec<(&'static str, CrossValidated)>,
+    /// Rounds fitted without each fold, by grouping.
+    rounds_without: Vec<(&'static str, Vec<Vec<Round>>)>,
     scores: Vec<Scores>,
 }
 
@@ -123,20 +124,21 @@ fn fit(
         Some(boosting) => train::fit(boosting, n_rounds, data)?,
         None => Vec::new(),
     };
-    let mut cross_validated = Vec::new();
+    let mut rounds_without = Vec::new();
     let mut scores = Vec::new();
     for (grouping, folds) in groupings {
-        let result = train::cross_validate(learner, n_rounds, data, folds, options.evaluate.folds)?;
+        let CrossValidated { rounds, confidences } =
+            train::cross_validate(learner, n_rounds, data, folds, options.evaluate.folds)?;
         scores.push(Scores {
             learner: learner.name().to_owned(),
             grouping: (*grouping).to_owned(),
             n_rounds: n_rounds as usize,
             folds: folds.clone(),
-            confidences: result.confidences.clone(),
+            confidences,
         });
-        cross_validated.push((*grouping, result));
+        rounds_without.push((*grouping, rounds));
     }
-    Ok(Fitted { learner, rounds, cross_validated, scores })
+    Ok(Fitted { learner, rounds, rounds_without, scores })
 }
 
 impl Fitted {
@@ -154,9 +156,9 @@ impl Fitted {
                 })
                 .collect()
         };
-        let of_folds = self.cross_validated.iter().flat_map(|(grouping, result)| {
+        let of_folds = self.rounds_without.iter().flat_map(|(grouping, by_fold)| {
             (0..)
-                .zip(&result.rounds)
+                .zip(by_fold)
                 .flat_map(|(fold, rounds)| rows(Some(((*grouping).to_owned(), fold)), rounds))
         });
         rows(None, &self.rounds).into_iter().chain(of_folds).collect()
