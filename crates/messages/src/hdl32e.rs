@@ -18,8 +18,12 @@ pub const BLOCKS: usize = 12;
 pub const LASERS: usize = 32;
 /// The laser whose beam is horizontal (0.00 deg), in firing order; ring 23 when sorted by elevation.
 pub const HORIZONTAL_LASER: usize = 15;
+/// Bytes of a block.
+const BLOCK_BYTES: usize = 100;
 /// First two bytes of every block.
 pub const BLOCK_FLAG: u16 = 0xEEFF;
+/// Bytes of a position packet, which the sensor sends to port 8308 (manual, "Position packet").
+pub const POSITION_PACKET_BYTES: usize = 512;
 /// One count of a distance \[m\].
 pub const METRES_PER_COUNT: f64 = 0.002;
 /// Counts of azimuth in a full turn; one count is 0.01 deg.
@@ -96,7 +100,7 @@ impl<'a> Packet<'a> {
                 .map_err(|_| MessageError::PacketLength { found: bytes.len() })?,
         };
         for block in 0..BLOCKS {
-            let found = packet.u16_at(block * 100);
+            let found = packet.u16_at(block * BLOCK_BYTES);
             if found != BLOCK_FLAG {
                 return Err(MessageError::BlockFlag { block, found });
             }
@@ -111,19 +115,32 @@ impl<'a> Packet<'a> {
     /// Azimuth of the block's first firing \[0.01 deg, clockwise\].
     #[inline]
     pub fn azimuth(&self, block: usize) -> u16 {
-        self.u16_at(block * 100 + 2)
+        self.u16_at(block * BLOCK_BYTES + 2)
     }
 
     /// Distance of one return \[2 mm\]; 0 is no return.
     #[inline]
     pub fn distance(&self, block: usize, laser: usize) -> u16 {
-        self.u16_at(block * 100 + 4 + laser * 3)
+        self.u16_at(block * BLOCK_BYTES + 4 + laser * 3)
     }
 
     /// Intensity of one return, 0 to 255.
     #[inline]
     pub fn intensity(&self, block: usize, laser: usize) -> u8 {
-        self.bytes[block * 100 + 4 + laser * 3 + 2]
+        self.bytes[block * BLOCK_BYTES + 4 + laser * 3 + 2]
+    }
+
+    /// The lasers that have a return in any block: bit `k` is laser `k`.
+    pub fn returns_of(&self) -> u32 {
+        let mut distances = [0u8; LASERS];
+        for block in self.bytes.as_chunks::<BLOCK_BYTES>().0 {
+            let (returns, _) = block[4..].as_chunks::<3>();
+            for (distance, [low, high, _intensity]) in distances.iter_mut().zip(returns) {
+                *distance |= low | high;
+            }
+        }
+        let bits = distances.iter().enumerate().map(|(laser, &any)| u32::from(any != 0) << laser);
+        bits.sum()
     }
 
     /// The device clock: microseconds past the hour.
@@ -149,6 +166,33 @@ impl<'a> Packet<'a> {
     }
 }
 
+/// Another Velodyne model, named where a packet of 1206 bytes has the block flags of one; none for
+/// the HDL-32E's own layout (which the VLP-16 and the VLP-32C share) and for what is no packet.
+///
+/// Sources: HDL-64E S3 User's Manual 63-HDL64ES3, appendix "Data packet format": the lasers 0 to 31
+/// come in blocks of 0xEEFF, 32 to 63 in blocks of 0xDDFF. VLS-128 User Manual, chapter 9 "Sensor
+/// data": a firing of 128 lasers takes four blocks; their flags 0xEEFF, 0xDDFF, 0xCCFF and 0xBBFF,
+/// and that dual-return mode leaves blocks empty, as in `tier4/nebula`, `nebula_decoders_velodyne`.
+pub fn foreign_layout(bytes: &[u8]) -> Option<&'static str> {
+    let packet: &[u8; PACKET_BYTES] = bytes.try_into().ok()?;
+    let mut model = None;
+    for block in packet.as_chunks::<BLOCK_BYTES>().0 {
+        match u16::from_le_bytes([block[0], block[1]]) {
+            BLOCK_FLAG | 0 => {}
+            0xDDFF => model = model.or(Some("HDL-64E")),
+            0xCCFF | 0xBBFF => model = Some("VLS-128 (Alpha Prime)"),
+            _ => return None,
+        }
+    }
+    model
+}
+
+/// Whether the bytes are, by their number, a position packet: GPS time and the sensor's own
+/// gyroscopes, no distances. Drivers that record both ports mix them in.
+pub fn is_position_packet(bytes: &[u8]) -> bool {
+    bytes.len() == POSITION_PACKET_BYTES
+}
+
 /// A packet under construction: no returns, strongest mode, until set.
 #[derive(Debug, Clone)]
 pub struct PacketBuilder {
@@ -160,8 +204,8 @@ impl PacketBuilder {
     pub fn new(azimuths: [u16; BLOCKS], device_time_us: u32) -> Self {
         let mut bytes = [0; PACKET_BYTES];
         for (block, azimuth) in azimuths.iter().enumerate() {
-            bytes[block * 100..][..2].copy_from_slice(&BLOCK_FLAG.to_le_bytes());
-            bytes[block * 100 + 2..][..2].copy_from_slice(&azimuth.to_le_bytes());
+            bytes[block * BLOCK_BYTES..][..2].copy_from_slice(&BLOCK_FLAG.to_le_bytes());
+            bytes[block * BLOCK_BYTES + 2..][..2].copy_from_slice(&azimuth.to_le_bytes());
         }
         bytes[1200..1204].copy_from_slice(&device_time_us.to_le_bytes());
         bytes[1204] = ReturnMode::Strongest.byte();
@@ -171,7 +215,7 @@ impl PacketBuilder {
 
     /// Sets one return: distance \[2 mm\] and intensity.
     pub fn set_return(&mut self, block: usize, laser: usize, distance: u16, intensity: u8) {
-        let at = block * 100 + 4 + laser * 3;
+        let at = block * BLOCK_BYTES + 4 + laser * 3;
         self.bytes[at..at + 2].copy_from_slice(&distance.to_le_bytes());
         self.bytes[at + 2] = intensity;
     }
@@ -179,6 +223,11 @@ impl PacketBuilder {
     /// Sets the return-mode byte.
     pub fn set_return_mode(&mut self, mode: ReturnMode) {
         self.bytes[1204] = mode.byte();
+    }
+
+    /// Sets the product byte.
+    pub fn set_product(&mut self, product: u8) {
+        self.bytes[1205] = product;
     }
 
     /// The packet's bytes.
@@ -215,6 +264,7 @@ mod tests {
         builder.set_return(11, 31, 0xABCD, 7);
         builder.set_return(0, 15, 500, 200);
         builder.set_return_mode(ReturnMode::Dual);
+        builder.set_product(0x22);
         let bytes = builder.finish();
         let packet = Packet::new(&bytes).unwrap();
         assert_eq!(std::array::from_fn(|k| packet.azimuth(k)), azimuths);
@@ -224,7 +274,41 @@ mod tests {
         assert_eq!(packet.distance(0, 14), 0);
         assert_eq!(packet.device_time_us(), 3_599_999_999);
         assert_eq!(packet.return_mode(), Some(ReturnMode::Dual));
-        assert_eq!(packet.product(), PRODUCT_HDL32E);
+        assert_eq!(packet.product(), 0x22);
+        let untouched = PacketBuilder::new(azimuths, 0).finish();
+        assert_eq!(Packet::new(&untouched).unwrap().product(), PRODUCT_HDL32E);
+    }
+
+    #[test]
+    fn lasers_with_a_return_in_any_block() {
+        let mut builder = PacketBuilder::new([0; BLOCKS], 0);
+        assert_eq!(Packet::new(&builder.clone().finish()).unwrap().returns_of(), 0);
+        builder.set_return(0, 0, 1, 0);
+        builder.set_return(11, 31, 0x0100, 0);
+        builder.set_return(3, 15, 500, 9);
+        builder.set_return(4, 15, 500, 9);
+        builder.set_return(5, 7, 0, 255); // an intensity alone is no return
+        let bytes = builder.finish();
+        assert_eq!(Packet::new(&bytes).unwrap().returns_of(), 1 << 31 | 1 << 15 | 1);
+    }
+
+    #[test]
+    fn other_models_are_named_by_their_flags() {
+        let with_flags = |flags: &[u16]| {
+            let mut bytes = PacketBuilder::new([0; BLOCKS], 0).finish();
+            for (block, flag) in flags.iter().cycle().take(BLOCKS).enumerate() {
+                bytes[block * BLOCK_BYTES..][..2].copy_from_slice(&flag.to_le_bytes());
+            }
+            foreign_layout(&bytes)
+        };
+        assert_eq!(with_flags(&[0xEEFF]), None);
+        assert_eq!(with_flags(&[0xEEFF, 0xDDFF]), Some("HDL-64E"));
+        let vls128 = Some("VLS-128 (Alpha Prime)");
+        assert_eq!(with_flags(&[0xEEFF, 0xDDFF, 0xCCFF, 0xBBFF]), vls128);
+        assert_eq!(with_flags(&[0xBBFF, 0xDDFF, 0, 0]), vls128);
+        assert_eq!(with_flags(&[0xEEFF, 0xDDFF, 0xAAFF]), None);
+        assert_eq!(foreign_layout(&[0xFF; 512]), None);
+        assert!(is_position_packet(&[0; 512]) && !is_position_packet(&[0; PACKET_BYTES]));
     }
 
     #[test]

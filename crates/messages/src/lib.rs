@@ -1,87 +1,33 @@
-//! What robot logs hold: the HDL-32E data packet ([`hdl32e`]) and the ROS messages around it
-//! ([`ros`]), read and written.
+//! What robot logs hold: the HDL-32E data packet ([`hdl32e`]) and the messages around it, of ROS 2
+//! and ROS 1 ([`ros`]) and of Foxglove ([`foxglove`]), read and written.
 //!
-//! Invariant: this crate knows neither files nor MCAP; it sees one message's bytes at a time.
+//! A [`Source`] says what a channel's messages are; one reader per noun turns a message's bytes into
+//! it: [`read_velodyne`], [`read_laser_scan`], [`read_point_cloud`], [`read_pose`],
+//! [`read_odometry`], [`read_imu`], [`read_joint_state`], [`read_nav_sat_fix`],
+//! [`read_transforms`]. [`is_whole`] tells what a channel without a schema holds.
+//!
+//! Invariant: this crate knows neither files nor MCAP; it sees one message's bytes at a time. No
+//! bytes make a reader panic, and none makes it allocate more than a small multiple of their number.
 
+mod error;
+pub mod foxglove;
 pub mod hdl32e;
+mod nouns;
+mod point_cloud;
+mod read;
 pub mod ros;
 pub mod schemas;
+mod source;
+mod whole;
+mod wire;
 
-/// What can be wrong with the bytes of one message or packet.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum MessageError {
-    /// The bytes end before the message does.
-    #[error("{message} ends at byte {found} where at least {expected} are needed")]
-    TooShort {
-        /// The message's type name.
-        message: &'static str,
-        /// Bytes needed so far.
-        expected: usize,
-        /// Bytes there are.
-        found: usize,
-    },
-    /// The four bytes before a CDR body name an encoding that is not plain CDR.
-    #[error(
-        "CDR encapsulation {found:#06x} is not supported, expected 0x0000 (big endian) or 0x0001 (little endian)"
-    )]
-    Encapsulation {
-        /// The two bytes found.
-        found: u16,
-    },
-    /// The body does not decode as the message its schema names.
-    #[error("bytes do not decode as {message}: {detail}")]
-    Malformed {
-        /// The message's type name.
-        message: &'static str,
-        /// What the decoder said.
-        detail: String,
-    },
-    /// An angle of a scan is NaN or infinite.
-    #[error("{message} has an angle that is not finite")]
-    NotFinite {
-        /// The message's type name.
-        message: &'static str,
-    },
-    /// A data packet of another length.
-    #[error("packet has {found} bytes, an HDL-32E data packet has {}", hdl32e::PACKET_BYTES)]
-    PacketLength {
-        /// Bytes found.
-        found: usize,
-    },
-    /// A block that does not start with the flag of the upper (and only) laser bank.
-    #[error("block {block} starts with {found:#06x}, an HDL-32E block with 0xeeff")]
-    BlockFlag {
-        /// Block, 0 to 11.
-        block: usize,
-        /// The flag found.
-        found: u16,
-    },
-    /// An azimuth that is no angle.
-    #[error("block {block} has azimuth {found}, expected 0 to 35999 hundredths of a degree")]
-    Azimuth {
-        /// Block, 0 to 11.
-        block: usize,
-        /// The azimuth found \[0.01 deg\].
-        found: u16,
-    },
-}
-
-impl MessageError {
-    /// What is wrong, in a few words that are the same for all messages wrong in this way.
-    pub fn kind(&self) -> String {
-        match self {
-            Self::TooShort { .. } => "too short".to_owned(),
-            Self::Encapsulation { found } => {
-                format!("encapsulation {found:#06x}, expected plain CDR, 0x0000 or 0x0001")
-            }
-            Self::Malformed { .. } => "malformed".to_owned(),
-            Self::NotFinite { .. } => "an angle that is not finite".to_owned(),
-            Self::PacketLength { .. } | Self::BlockFlag { .. } | Self::Azimuth { .. } => {
-                "not the layout of an HDL-32E data packet".to_owned()
-            }
-        }
-    }
-}
-
-/// `Result` of this crate.
-pub type Result<T> = std::result::Result<T, MessageError>;
+pub use error::{MessageError, Result};
+pub use nouns::{Imu, JointState, LaserScan, NavSatFix, Odometry, StampedPose3, Transform};
+pub use point_cloud::{Column, PointCloud, PointField, Scalar};
+pub use read::{
+    read_imu, read_joint_state, read_laser_scan, read_nav_sat_fix, read_odometry, read_point_cloud,
+    read_pose, read_transforms, read_velodyne,
+};
+pub use ros::VelodyneScan;
+pub use source::{Encoding, MessageType, Source};
+pub use whole::is_whole;

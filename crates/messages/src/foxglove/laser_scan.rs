@@ -1,0 +1,72 @@
+//! `foxglove.LaserScan`.
+
+use prost::Message;
+use serde::{Deserialize, Serialize};
+
+use super::{Pose, Timestamp, decode, encode, stamp_ns, text};
+use crate::{Encoding, LaserScan, MessageType, Result};
+
+#[derive(Clone, PartialEq, Message, Serialize, Deserialize)]
+#[serde(default)]
+struct LaserScanWire {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<Timestamp>,
+    #[prost(string, tag = "2")]
+    frame_id: String,
+    #[prost(message, optional, tag = "3")]
+    pose: Option<Pose>,
+    #[prost(double, tag = "4")]
+    #[serde(with = "text::number")]
+    start_angle: f64,
+    #[prost(double, tag = "5")]
+    #[serde(with = "text::number")]
+    end_angle: f64,
+    #[prost(double, repeated, tag = "6")]
+    #[serde(with = "text::numbers")]
+    ranges: Vec<f64>,
+    #[prost(double, repeated, tag = "7")]
+    #[serde(with = "text::numbers")]
+    intensities: Vec<f64>,
+}
+
+/// The message gives the angles of its first and last beam and no range limits. Its pose, the
+/// scan's origin in its frame, is ignored: a scan is in the lidar's own frame.
+pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<LaserScan> {
+    const TYPE: MessageType = MessageType::FoxgloveLaserScan;
+    let wire: LaserScanWire = decode(TYPE, encoding, bytes)?;
+    let angle_increment = match wire.ranges.len() {
+        0 | 1 => 0.0,
+        n_beams => (wire.end_angle - wire.start_angle) / (n_beams - 1) as f64,
+    };
+    Ok(LaserScan {
+        stamp_ns: stamp_ns(TYPE, wire.timestamp)?,
+        angle_min: wire.start_angle,
+        angle_increment,
+        range_min: 0.0,
+        range_max: f32::INFINITY,
+        ranges: wire.ranges.iter().map(|&range| range as f32).collect(),
+    })
+}
+
+/// Writes a `foxglove.LaserScan` without intensities, at the origin of its frame. The message has
+/// no range limits: readings outside the scan's become NaN.
+///
+/// # Panics
+/// If the encoding is not one of Foxglove's two.
+pub fn write_laser_scan(encoding: Encoding, frame_id: &str, scan: &LaserScan) -> Vec<u8> {
+    let limits = scan.range_min..=scan.range_max;
+    let range = |&range: &f32| if limits.contains(&range) { f64::from(range) } else { f64::NAN };
+    let n_steps = scan.ranges.len().saturating_sub(1) as f64;
+    encode(
+        encoding,
+        &LaserScanWire {
+            timestamp: Some(Timestamp::new(scan.stamp_ns)),
+            frame_id: frame_id.to_owned(),
+            pose: Some(Pose::identity()),
+            start_angle: scan.angle_min,
+            end_angle: scan.angle_min + scan.angle_increment * n_steps,
+            ranges: scan.ranges.iter().map(range).collect(),
+            intensities: Vec::new(),
+        },
+    )
+}

@@ -1,0 +1,141 @@
+//! Foxglove's messages as protocol buffers and as JSON.
+//!
+//! Source: the schemas of `foxglove/foxglove-sdk`, `schemas/proto` and `schemas/jsonschema`. One
+//! struct serves both: field numbers are those of the `.proto`, names those of the JSON, where a
+//! time is `{sec, nsec}` and bytes are base64.
+//!
+//! A protocol buffer that is cut between two fields is a valid, shorter one: unlike in the other
+//! encodings a loss there cannot be seen. A message without a time or without its pose is refused.
+
+mod laser_scan;
+mod point_cloud;
+mod poses;
+mod text;
+
+use prost::Message;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+pub use laser_scan::write_laser_scan;
+pub use point_cloud::write_point_cloud;
+
+pub(crate) use laser_scan::laser_scan;
+pub(crate) use point_cloud::point_cloud;
+pub(crate) use poses::{pose, transform};
+
+use crate::wire::sec_and_nanosec;
+use crate::{Encoding, MessageError, MessageType, Result};
+
+/// `google.protobuf.Timestamp`
+#[derive(Clone, PartialEq, Message, Serialize, Deserialize)]
+struct Timestamp {
+    #[prost(int64, tag = "1")]
+    sec: i64,
+    #[prost(int32, tag = "2")]
+    nsec: i32,
+}
+
+impl Timestamp {
+    fn new(stamp_ns: i64) -> Self {
+        let (sec, nsec) = sec_and_nanosec(stamp_ns);
+        Self { sec, nsec: nsec as i32 }
+    }
+}
+
+#[derive(Clone, PartialEq, Message, Serialize, Deserialize)]
+#[serde(default)]
+struct Vector3 {
+    #[prost(double, tag = "1")]
+    #[serde(with = "text::number")]
+    x: f64,
+    #[prost(double, tag = "2")]
+    #[serde(with = "text::number")]
+    y: f64,
+    #[prost(double, tag = "3")]
+    #[serde(with = "text::number")]
+    z: f64,
+}
+
+#[derive(Clone, PartialEq, Message, Serialize, Deserialize)]
+#[serde(default)]
+struct Quaternion {
+    #[prost(double, tag = "1")]
+    #[serde(with = "text::number")]
+    x: f64,
+    #[prost(double, tag = "2")]
+    #[serde(with = "text::number")]
+    y: f64,
+    #[prost(double, tag = "3")]
+    #[serde(with = "text::number")]
+    z: f64,
+    #[prost(double, tag = "4")]
+    #[serde(with = "text::number")]
+    w: f64,
+}
+
+#[derive(Clone, PartialEq, Message, Serialize, Deserialize)]
+#[serde(default)]
+struct Pose {
+    #[prost(message, optional, tag = "1")]
+    position: Option<Vector3>,
+    #[prost(message, optional, tag = "2")]
+    orientation: Option<Quaternion>,
+}
+
+impl Pose {
+    fn identity() -> Self {
+        Self {
+            position: Some(Vector3::default()),
+            orientation: Some(Quaternion { w: 1.0, ..Quaternion::default() }),
+        }
+    }
+}
+
+fn decode<T: Message + Default + DeserializeOwned>(
+    message_type: MessageType,
+    encoding: Encoding,
+    bytes: &[u8],
+) -> Result<T> {
+    let message = message_type.name();
+    let decoded = match encoding {
+        Encoding::Protobuf => T::decode(bytes).map_err(|e| e.to_string()),
+        Encoding::Json => serde_json::from_slice(bytes).map_err(|e| e.to_string()),
+        Encoding::Cdr | Encoding::Ros1 => {
+            let expected = message_type.encodings();
+            return Err(MessageError::WrongEncoding { message, expected, found: encoding });
+        }
+    };
+    decoded.map_err(|detail| MessageError::Malformed { message, detail })
+}
+
+/// # Panics
+/// If the encoding is not one of Foxglove's two.
+fn encode<T: Message + Serialize>(encoding: Encoding, message: &T) -> Vec<u8> {
+    match encoding {
+        Encoding::Protobuf => message.encode_to_vec(),
+        Encoding::Json => serde_json::to_vec(message).expect("a plain struct serialises"),
+        Encoding::Cdr | Encoding::Ros1 => {
+            panic!("Foxglove's messages are written as protobuf or json, not as {encoding}")
+        }
+    }
+}
+
+/// A part of a message that must be there.
+fn required<T>(message_type: MessageType, name: &str, part: Option<T>) -> Result<T> {
+    part.ok_or_else(|| malformed(message_type, format!("it has no {name}")))
+}
+
+fn malformed(message_type: MessageType, detail: String) -> MessageError {
+    MessageError::Malformed { message: message_type.name(), detail }
+}
+
+/// A message's time \[ns since the epoch\].
+fn stamp_ns(message_type: MessageType, timestamp: Option<Timestamp>) -> Result<i64> {
+    let Timestamp { sec, nsec } = required(message_type, "timestamp", timestamp)?;
+    sec.checked_mul(1_000_000_000)
+        .and_then(|ns| ns.checked_add(i64::from(nsec)))
+        .ok_or_else(|| malformed(message_type, format!("{sec} s is no time")))
+}
+
+#[cfg(test)]
+mod tests;

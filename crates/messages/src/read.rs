@@ -1,0 +1,139 @@
+//! One reader per noun, whatever the message type and encoding.
+
+use crate::wire::Decoded;
+use crate::{
+    Encoding, Imu, JointState, LaserScan, MessageError, MessageType, NavSatFix, Odometry,
+    PointCloud, Result, Source, StampedPose3, Transform, VelodyneScan, foxglove, ros,
+};
+
+/// Reads the packets of a `VelodyneScan`, or of a `VelodynePacket` the one.
+pub fn read_velodyne(source: Source, bytes: &[u8]) -> Result<VelodyneScan<'_>> {
+    velodyne(source, bytes).map(|decoded| decoded.value)
+}
+
+/// Reads a planar scan: `sensor_msgs/LaserScan` or `foxglove.LaserScan`.
+///
+/// Foxglove's gives no range limits: they are 0 and infinity; its pose is ignored, a scan is in the
+/// lidar's own frame.
+pub fn read_laser_scan(source: Source, bytes: &[u8]) -> Result<LaserScan> {
+    laser_scan(source, bytes).map(|decoded| decoded.value)
+}
+
+/// Reads a cloud of points: `sensor_msgs/PointCloud2` or `foxglove.PointCloud`.
+///
+/// The pose of Foxglove's is ignored, a cloud is in the lidar's own frame.
+pub fn read_point_cloud(source: Source, bytes: &[u8]) -> Result<PointCloud<'_>> {
+    point_cloud(source, bytes).map(|decoded| decoded.value)
+}
+
+/// Reads a pose: `geometry_msgs/PoseStamped`, `geometry_msgs/PoseWithCovarianceStamped`,
+/// `foxglove.PoseInFrame`, or that of a `nav_msgs/Odometry`.
+pub fn read_pose(source: Source, bytes: &[u8]) -> Result<StampedPose3> {
+    pose(source, bytes).map(|decoded| decoded.value)
+}
+
+/// Reads a `nav_msgs/Odometry` with its velocities.
+pub fn read_odometry(source: Source, bytes: &[u8]) -> Result<Odometry> {
+    odometry(source, bytes).map(|decoded| decoded.value)
+}
+
+/// Reads a `sensor_msgs/Imu`.
+///
+/// Its orientation is none where the message says so (first element of the covariance -1) or leaves
+/// it all zero; its acceleration where the message says so.
+pub fn read_imu(source: Source, bytes: &[u8]) -> Result<Imu> {
+    imu(source, bytes).map(|decoded| decoded.value)
+}
+
+/// Reads a `sensor_msgs/JointState`.
+pub fn read_joint_state(source: Source, bytes: &[u8]) -> Result<JointState> {
+    joint_state(source, bytes).map(|decoded| decoded.value)
+}
+
+/// Reads a `sensor_msgs/NavSatFix`.
+pub fn read_nav_sat_fix(source: Source, bytes: &[u8]) -> Result<NavSatFix> {
+    nav_sat_fix(source, bytes).map(|decoded| decoded.value)
+}
+
+/// Reads the transforms of a `tf2_msgs/TFMessage`, or of a `foxglove.FrameTransform` the one.
+pub fn read_transforms(source: Source, bytes: &[u8]) -> Result<Vec<Transform>> {
+    transforms(source, bytes).map(|decoded| decoded.value)
+}
+
+pub(crate) fn velodyne(source: Source, bytes: &[u8]) -> Result<Decoded<VelodyneScan<'_>>> {
+    match source.message_type {
+        MessageType::VelodyneScan => VelodyneScan::read(source.encoding, bytes),
+        MessageType::VelodynePacket => VelodyneScan::read_packet(source.encoding, bytes),
+        found => Err(MessageError::WrongType { expected: "Velodyne packets", found }),
+    }
+}
+
+pub(crate) fn laser_scan(source: Source, bytes: &[u8]) -> Result<Decoded<LaserScan>> {
+    match source.message_type {
+        MessageType::LaserScan => ros::laser_scan(source.encoding, bytes),
+        MessageType::FoxgloveLaserScan => foxglove::laser_scan(source.encoding, bytes).map(whole),
+        found => Err(MessageError::WrongType { expected: "laser scan", found }),
+    }
+}
+
+pub(crate) fn point_cloud(source: Source, bytes: &[u8]) -> Result<Decoded<PointCloud<'_>>> {
+    match source.message_type {
+        MessageType::PointCloud2 => ros::point_cloud(source.encoding, bytes),
+        MessageType::FoxglovePointCloud => foxglove::point_cloud(source.encoding, bytes).map(whole),
+        found => Err(MessageError::WrongType { expected: "point cloud", found }),
+    }
+}
+
+pub(crate) fn pose(source: Source, bytes: &[u8]) -> Result<Decoded<StampedPose3>> {
+    let encoding: Encoding = source.encoding;
+    match source.message_type {
+        MessageType::PoseStamped => ros::pose(encoding, bytes),
+        MessageType::PoseWithCovarianceStamped => ros::pose_with_covariance(encoding, bytes),
+        MessageType::Odometry => Ok(ros::odometry(encoding, bytes)?.map(|odometry| odometry.pose)),
+        MessageType::FoxglovePoseInFrame => foxglove::pose(encoding, bytes).map(whole),
+        found => Err(MessageError::WrongType { expected: "pose", found }),
+    }
+}
+
+fn odometry(source: Source, bytes: &[u8]) -> Result<Decoded<Odometry>> {
+    match source.message_type {
+        MessageType::Odometry => ros::odometry(source.encoding, bytes),
+        found => Err(MessageError::WrongType { expected: "odometry", found }),
+    }
+}
+
+pub(crate) fn imu(source: Source, bytes: &[u8]) -> Result<Decoded<Imu>> {
+    match source.message_type {
+        MessageType::Imu => ros::imu(source.encoding, bytes),
+        found => Err(MessageError::WrongType { expected: "inertial measurement", found }),
+    }
+}
+
+pub(crate) fn joint_state(source: Source, bytes: &[u8]) -> Result<Decoded<JointState>> {
+    match source.message_type {
+        MessageType::JointState => ros::joint_state(source.encoding, bytes),
+        found => Err(MessageError::WrongType { expected: "joint state", found }),
+    }
+}
+
+pub(crate) fn nav_sat_fix(source: Source, bytes: &[u8]) -> Result<Decoded<NavSatFix>> {
+    match source.message_type {
+        MessageType::NavSatFix => ros::nav_sat_fix(source.encoding, bytes),
+        found => Err(MessageError::WrongType { expected: "satellite fix", found }),
+    }
+}
+
+pub(crate) fn transforms(source: Source, bytes: &[u8]) -> Result<Decoded<Vec<Transform>>> {
+    match source.message_type {
+        MessageType::Tf => ros::transforms(source.encoding, bytes),
+        MessageType::FoxgloveFrameTransform => {
+            foxglove::transform(source.encoding, bytes).map(|transform| whole(vec![transform]))
+        }
+        found => Err(MessageError::WrongType { expected: "transform", found }),
+    }
+}
+
+/// Protocol buffers and JSON are read to their end or not at all.
+fn whole<T>(value: T) -> Decoded<T> {
+    Decoded { value, n_left: 0 }
+}

@@ -1,0 +1,103 @@
+//! `velodyne_msgs/VelodyneScan` and `velodyne_msgs/VelodynePacket`, their packets borrowed.
+
+use crate::hdl32e::PACKET_BYTES;
+use crate::wire::{Cursor, Decoded, Writer, time_ns, u32_of};
+use crate::{Encoding, MessageType, Result};
+
+/// Bytes of a `VelodynePacket`: its stamp and its data.
+const STAMPED_PACKET_BYTES: usize = 8 + PACKET_BYTES;
+
+/// The packets of one message, borrowed.
+#[derive(Debug, Clone, Copy)]
+pub struct VelodyneScan<'a> {
+    /// Header stamp, of a lone packet its own \[ns since the epoch\].
+    pub stamp_ns: i64,
+    packets: &'a [u8],
+    n_packets: usize,
+    stride: usize,
+    big_endian: bool,
+}
+
+impl<'a> VelodyneScan<'a> {
+    /// Reads the header of a `VelodyneScan` and checks that all packets are there.
+    pub(crate) fn read(encoding: Encoding, bytes: &'a [u8]) -> Result<Decoded<Self>> {
+        let mut cursor = Cursor::new(MessageType::VelodyneScan, encoding, bytes)?;
+        let stamp_ns = cursor.header_stamp_ns()?;
+        let n_packets = cursor.size()?;
+        // In CDR the stamp of the next packet starts 2 bytes after this one's data, aligned.
+        let stride = match encoding {
+            Encoding::Cdr => STAMPED_PACKET_BYTES.next_multiple_of(4),
+            _ => STAMPED_PACKET_BYTES,
+        };
+        let length = match n_packets {
+            0 => 0,
+            n => (n - 1).saturating_mul(stride).saturating_add(STAMPED_PACKET_BYTES),
+        };
+        let packets = cursor.take(length)?;
+        let big_endian = cursor.is_big_endian();
+        Ok(cursor.decoded(Self { stamp_ns, packets, n_packets, stride, big_endian }))
+    }
+
+    /// Reads a lone `VelodynePacket`.
+    pub(crate) fn read_packet(encoding: Encoding, bytes: &'a [u8]) -> Result<Decoded<Self>> {
+        let mut cursor = Cursor::new(MessageType::VelodynePacket, encoding, bytes)?;
+        let packets = cursor.take(STAMPED_PACKET_BYTES)?;
+        let stride = STAMPED_PACKET_BYTES;
+        let big_endian = cursor.is_big_endian();
+        let lone = Self { stamp_ns: 0, packets, n_packets: 1, stride, big_endian };
+        let stamp_ns = lone.packets().next().map_or(0, |(stamp_ns, _)| stamp_ns);
+        Ok(cursor.decoded(Self { stamp_ns, ..lone }))
+    }
+
+    /// Number of packets.
+    pub fn len(&self) -> usize {
+        self.n_packets
+    }
+
+    /// Whether there is no packet.
+    pub fn is_empty(&self) -> bool {
+        self.n_packets == 0
+    }
+
+    /// Each packet's stamp \[ns since the epoch\] and its 1206 bytes, in order.
+    pub fn packets(&self) -> impl ExactSizeIterator<Item = (i64, &'a [u8])> + use<'a> {
+        let Self { packets, stride, big_endian, .. } = *self;
+        (0..self.n_packets).map(move |k| {
+            let packet = &packets[k * stride..][..STAMPED_PACKET_BYTES];
+            let word = |at: usize| {
+                u32_of([packet[at], packet[at + 1], packet[at + 2], packet[at + 3]], big_endian)
+            };
+            (time_ns(word(0), word(4)), &packet[8..])
+        })
+    }
+}
+
+/// Writes a `velodyne_msgs/VelodyneScan`; each packet comes with its stamp \[ns\].
+pub fn write_velodyne_scan(
+    encoding: Encoding,
+    frame_id: &str,
+    stamp_ns: i64,
+    packets: &[(i64, [u8; PACKET_BYTES])],
+) -> Vec<u8> {
+    let capacity = 64 + frame_id.len() + packets.len() * (STAMPED_PACKET_BYTES + 2);
+    let mut writer = Writer::new(encoding, capacity);
+    writer.header(stamp_ns, frame_id);
+    writer.size(packets.len());
+    for (packet_stamp_ns, packet) in packets {
+        writer.time(*packet_stamp_ns);
+        writer.raw(packet);
+    }
+    writer.finish()
+}
+
+/// Writes a `velodyne_msgs/VelodynePacket`.
+pub fn write_velodyne_packet(
+    encoding: Encoding,
+    stamp_ns: i64,
+    packet: &[u8; PACKET_BYTES],
+) -> Vec<u8> {
+    let mut writer = Writer::new(encoding, 4 + STAMPED_PACKET_BYTES);
+    writer.time(stamp_ns);
+    writer.raw(packet);
+    writer.finish()
+}

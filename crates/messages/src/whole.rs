@@ -1,0 +1,74 @@
+//! What a channel without a schema holds, told by what its bytes decode as.
+
+use crate::hdl32e::Packet;
+use crate::wire::Decoded;
+use crate::{Encoding, MessageType, Result, Source, read};
+
+/// Bytes that some DDS vendors leave behind a CDR message to fill up a word.
+const MAX_CDR_PADDING: usize = 8;
+/// A quaternion whose norm is farther from 1 than this was never one.
+const MAX_NORM_ERROR: f64 = 1e-3;
+
+/// Whether the bytes are one message of this type, from the first to the last, and say something
+/// that such a message would.
+///
+/// CDR may be followed by up to 8 bytes of padding. Plausible are packets of an HDL-32E's layout, at
+/// least one; a scan with finite angles and two beams; a cloud with a field; poses and
+/// transforms of finite numbers and unit quaternions; an IMU of finite numbers; joints with names
+/// and at most one value each; a fix on the globe. Protocol buffers and JSON pass over what they do
+/// not know, so that there the type is the less certain.
+pub fn is_whole(source: Source, bytes: &[u8]) -> bool {
+    let max_left = if source.encoding == Encoding::Cdr { MAX_CDR_PADDING } else { 0 };
+    plausible(source, bytes).is_ok_and(|decoded| decoded.value && decoded.n_left <= max_left)
+}
+
+fn plausible(source: Source, bytes: &[u8]) -> Result<Decoded<bool>> {
+    Ok(match source.message_type {
+        MessageType::VelodyneScan | MessageType::VelodynePacket => read::velodyne(source, bytes)?
+            .map(|scan| {
+                !scan.is_empty() && scan.packets().all(|(_, packet)| Packet::new(packet).is_ok())
+            }),
+        MessageType::LaserScan | MessageType::FoxgloveLaserScan => read::laser_scan(source, bytes)?
+            .map(|scan| {
+                are_finite(&[scan.angle_min, scan.angle_increment]) && 2 <= scan.ranges.len()
+            }),
+        MessageType::PointCloud2 | MessageType::FoxglovePointCloud => {
+            read::point_cloud(source, bytes)?.map(|cloud| !cloud.fields.is_empty())
+        }
+        MessageType::PoseStamped
+        | MessageType::PoseWithCovarianceStamped
+        | MessageType::Odometry
+        | MessageType::FoxglovePoseInFrame => read::pose(source, bytes)?
+            .map(|pose| are_finite(&pose.position) && is_unit(pose.orientation)),
+        MessageType::Tf | MessageType::FoxgloveFrameTransform => read::transforms(source, bytes)?
+            .map(|transforms| {
+                let is_plausible = |t: &crate::Transform| {
+                    !t.child.is_empty() && are_finite(&t.translation) && is_unit(t.rotation)
+                };
+                !transforms.is_empty() && transforms.iter().all(is_plausible)
+            }),
+        MessageType::NavSatFix => read::nav_sat_fix(source, bytes)?
+            .map(|fix| fix.latitude_deg.abs() <= 90.0 && fix.longitude_deg.abs() <= 180.0),
+        MessageType::Imu => read::imu(source, bytes)?.map(|imu| {
+            are_finite(&imu.angular_velocity)
+                && imu.orientation.is_none_or(is_unit)
+                && imu.linear_acceleration.is_none_or(|values| are_finite(&values))
+        }),
+        MessageType::JointState => read::joint_state(source, bytes)?.map(|joints| {
+            let fits = |values: &[f64]| values.is_empty() || values.len() == joints.names.len();
+            !joints.names.is_empty() && fits(&joints.positions) && fits(&joints.velocities)
+        }),
+    })
+}
+
+fn are_finite(values: &[f64]) -> bool {
+    values.iter().all(|value| value.is_finite())
+}
+
+fn is_unit(quaternion: [f64; 4]) -> bool {
+    let norm = quaternion.iter().map(|value| value * value).sum::<f64>().sqrt();
+    (norm - 1.0).abs() <= MAX_NORM_ERROR
+}
+
+#[cfg(test)]
+mod tests;
