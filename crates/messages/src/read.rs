@@ -2,8 +2,8 @@
 
 use crate::wire::Decoded;
 use crate::{
-    Encoding, Imu, JointState, LaserScan, MessageError, MessageType, NavSatFix, Odometry,
-    PointCloud, Result, Source, StampedPose3, Transform, VelodyneScan, foxglove, ros,
+    Imu, JointState, LaserScan, MessageError, MessageType, NavSatFix, Odometry, PointCloud, Result,
+    Source, StampedPose3, Transform, VelodyneScan, foxglove, ros,
 };
 
 /// Reads the packets of a `VelodyneScan`, or of a `VelodynePacket` the one.
@@ -71,7 +71,7 @@ pub(crate) fn velodyne(source: Source, bytes: &[u8]) -> Result<Decoded<VelodyneS
 pub(crate) fn laser_scan(source: Source, bytes: &[u8]) -> Result<Decoded<LaserScan>> {
     match source.message_type {
         MessageType::LaserScan => ros::laser_scan(source.encoding, bytes),
-        MessageType::FoxgloveLaserScan => foxglove::laser_scan(source.encoding, bytes).map(whole),
+        MessageType::FoxgloveLaserScan => foxglove::laser_scan(source.encoding, bytes),
         found => Err(MessageError::WrongType { expected: "laser scan", found }),
     }
 }
@@ -79,18 +79,18 @@ pub(crate) fn laser_scan(source: Source, bytes: &[u8]) -> Result<Decoded<LaserSc
 pub(crate) fn point_cloud(source: Source, bytes: &[u8]) -> Result<Decoded<PointCloud<'_>>> {
     match source.message_type {
         MessageType::PointCloud2 => ros::point_cloud(source.encoding, bytes),
-        MessageType::FoxglovePointCloud => foxglove::point_cloud(source.encoding, bytes).map(whole),
+        MessageType::FoxglovePointCloud => foxglove::point_cloud(source.encoding, bytes),
         found => Err(MessageError::WrongType { expected: "point cloud", found }),
     }
 }
 
 pub(crate) fn pose(source: Source, bytes: &[u8]) -> Result<Decoded<StampedPose3>> {
-    let encoding: Encoding = source.encoding;
+    let encoding = source.encoding;
     match source.message_type {
         MessageType::PoseStamped => ros::pose(encoding, bytes),
         MessageType::PoseWithCovarianceStamped => ros::pose_with_covariance(encoding, bytes),
         MessageType::Odometry => Ok(ros::odometry(encoding, bytes)?.map(|odometry| odometry.pose)),
-        MessageType::FoxglovePoseInFrame => foxglove::pose(encoding, bytes).map(whole),
+        MessageType::FoxglovePoseInFrame => foxglove::pose(encoding, bytes),
         found => Err(MessageError::WrongType { expected: "pose", found }),
     }
 }
@@ -127,13 +127,8 @@ pub(crate) fn transforms(source: Source, bytes: &[u8]) -> Result<Decoded<Vec<Tra
     match source.message_type {
         MessageType::Tf => ros::transforms(source.encoding, bytes),
         MessageType::FoxgloveFrameTransform => {
-            foxglove::transform(source.encoding, bytes).map(|transform| whole(vec![transform]))
+            Ok(foxglove::transform(source.encoding, bytes)?.map(|transform| vec![transform]))
         }
         found => Err(MessageError::WrongType { expected: "transform", found }),
     }
-}
-
-/// Protocol buffers and JSON are read to their end or not at all.
-fn whole<T>(value: T) -> Decoded<T> {
-    Decoded { value, n_left: 0 }
 }

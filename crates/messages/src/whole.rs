@@ -15,8 +15,8 @@ const MAX_NORM_ERROR: f64 = 1e-3;
 /// CDR may be followed by up to 8 bytes of padding. Plausible are packets of an HDL-32E's layout, at
 /// least one; a scan with finite angles and two beams; a cloud with a field; poses and
 /// transforms of finite numbers and unit quaternions; an IMU of finite numbers; joints with names
-/// and at most one value each; a fix on the globe. Protocol buffers and JSON pass over what they do
-/// not know, so that there the type is the less certain.
+/// and at most one value each; a fix on the globe. JSON passes over what it does not know: there a
+/// scan or a cloud with a pose of its own may be a `foxglove.PoseInFrame` as well.
 pub fn is_whole(source: Source, bytes: &[u8]) -> bool {
     let max_left = if source.encoding == Encoding::Cdr { MAX_CDR_PADDING } else { 0 };
     plausible(source, bytes).is_ok_and(|decoded| decoded.value && decoded.n_left <= max_left)

@@ -4,6 +4,7 @@ use prost::Message;
 use serde::{Deserialize, Serialize};
 
 use super::{Pose, Timestamp, decode, encode, stamp_ns, text};
+use crate::wire::Decoded;
 use crate::{Encoding, LaserScan, MessageType, Result};
 
 #[derive(Clone, PartialEq, Message, Serialize, Deserialize)]
@@ -31,21 +32,22 @@ struct LaserScanWire {
 
 /// The message gives the angles of its first and last beam and no range limits. Its pose, the
 /// scan's origin in its frame, is ignored: a scan is in the lidar's own frame.
-pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<LaserScan> {
+pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<LaserScan>> {
     const TYPE: MessageType = MessageType::FoxgloveLaserScan;
-    let wire: LaserScanWire = decode(TYPE, encoding, bytes)?;
+    let Decoded { value: wire, n_left } = decode::<LaserScanWire>(TYPE, encoding, bytes)?;
     let angle_increment = match wire.ranges.len() {
         0 | 1 => 0.0,
         n_beams => (wire.end_angle - wire.start_angle) / (n_beams - 1) as f64,
     };
-    Ok(LaserScan {
+    let scan = LaserScan {
         stamp_ns: stamp_ns(TYPE, wire.timestamp)?,
         angle_min: wire.start_angle,
         angle_increment,
         range_min: 0.0,
         range_max: f32::INFINITY,
         ranges: wire.ranges.iter().map(|&range| range as f32).collect(),
-    })
+    };
+    Ok(Decoded { value: scan, n_left })
 }
 
 /// Writes a `foxglove.LaserScan` without intensities, at the origin of its frame. The message has

@@ -23,7 +23,7 @@ pub(crate) use laser_scan::laser_scan;
 pub(crate) use point_cloud::point_cloud;
 pub(crate) use poses::{pose, transform};
 
-use crate::wire::sec_and_nanosec;
+use crate::wire::{Decoded, sec_and_nanosec};
 use crate::{Encoding, MessageError, MessageType, Result};
 
 /// `google.protobuf.Timestamp`
@@ -91,15 +91,22 @@ impl Pose {
     }
 }
 
+/// Both encodings are read to their end or not at all. What protocol buffers pass over on the way,
+/// fields of another type, counts as not read: the message would be that much shorter without them.
 fn decode<T: Message + Default + DeserializeOwned>(
     message_type: MessageType,
     encoding: Encoding,
     bytes: &[u8],
-) -> Result<T> {
+) -> Result<Decoded<T>> {
     let message = message_type.name();
     let decoded = match encoding {
-        Encoding::Protobuf => T::decode(bytes).map_err(|e| e.to_string()),
-        Encoding::Json => serde_json::from_slice(bytes).map_err(|e| e.to_string()),
+        Encoding::Protobuf => T::decode(bytes).map_err(|e| e.to_string()).map(|value| {
+            let n_left = bytes.len().abs_diff(value.encoded_len());
+            Decoded { value, n_left }
+        }),
+        Encoding::Json => serde_json::from_slice(bytes)
+            .map(|value| Decoded { value, n_left: 0 })
+            .map_err(|e| e.to_string()),
         Encoding::Cdr | Encoding::Ros1 => {
             let expected = message_type.encodings();
             return Err(MessageError::WrongEncoding { message, expected, found: encoding });

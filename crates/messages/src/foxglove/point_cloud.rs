@@ -6,6 +6,7 @@ use prost::Message;
 use serde::{Deserialize, Serialize};
 
 use super::{Pose, Timestamp, decode, encode, stamp_ns, text};
+use crate::wire::Decoded;
 use crate::{Encoding, MessageError, MessageType, PointCloud, PointField, Result, Scalar};
 
 /// The scalar of each `PackedElementField.NumericType`, which counts from 1; 0 is unknown.
@@ -51,9 +52,12 @@ struct FieldWire {
 }
 
 /// The cloud's pose, its origin in its frame, is ignored: a cloud is in the lidar's own frame.
-pub(crate) fn point_cloud(encoding: Encoding, bytes: &[u8]) -> Result<PointCloud<'static>> {
+pub(crate) fn point_cloud(
+    encoding: Encoding,
+    bytes: &[u8],
+) -> Result<Decoded<PointCloud<'static>>> {
     const TYPE: MessageType = MessageType::FoxglovePointCloud;
-    let wire: PointCloudWire = decode(TYPE, encoding, bytes)?;
+    let Decoded { value: wire, n_left } = decode::<PointCloudWire>(TYPE, encoding, bytes)?;
     let point_step = wire.point_stride as usize;
     let width = match wire.data.len() {
         0 => 0,
@@ -66,7 +70,7 @@ pub(crate) fn point_cloud(encoding: Encoding, bytes: &[u8]) -> Result<PointCloud
             }
         },
     };
-    PointCloud {
+    let cloud = PointCloud {
         stamp_ns: stamp_ns(TYPE, wire.timestamp)?,
         width,
         height: 1,
@@ -75,8 +79,8 @@ pub(crate) fn point_cloud(encoding: Encoding, bytes: &[u8]) -> Result<PointCloud
         big_endian: false,
         fields: wire.fields.into_iter().map(field).collect::<Result<_>>()?,
         data: Cow::Owned(wire.data),
-    }
-    .checked()
+    };
+    Ok(Decoded { value: cloud.checked()?, n_left })
 }
 
 fn field(wire: FieldWire) -> Result<PointField> {

@@ -4,6 +4,7 @@ use prost::Message;
 use serde::{Deserialize, Serialize};
 
 use super::{Pose, Quaternion, Timestamp, Vector3, decode, required, stamp_ns};
+use crate::wire::Decoded;
 use crate::{Encoding, MessageType, Result, StampedPose3, Transform};
 
 #[derive(Clone, PartialEq, Message, Serialize, Deserialize)]
@@ -32,27 +33,29 @@ pub(super) struct FrameTransformWire {
     pub(super) rotation: Option<Quaternion>,
 }
 
-pub(crate) fn pose(encoding: Encoding, bytes: &[u8]) -> Result<StampedPose3> {
+pub(crate) fn pose(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<StampedPose3>> {
     const TYPE: MessageType = MessageType::FoxglovePoseInFrame;
-    let wire: PoseInFrameWire = decode(TYPE, encoding, bytes)?;
+    let Decoded { value: wire, n_left } = decode::<PoseInFrameWire>(TYPE, encoding, bytes)?;
     let pose = required(TYPE, "pose", wire.pose)?;
-    Ok(StampedPose3 {
+    let pose = StampedPose3 {
         stamp_ns: stamp_ns(TYPE, wire.timestamp)?,
         position: vector(required(TYPE, "position", pose.position)?),
         orientation: quaternion(required(TYPE, "orientation", pose.orientation)?),
-    })
+    };
+    Ok(Decoded { value: pose, n_left })
 }
 
-pub(crate) fn transform(encoding: Encoding, bytes: &[u8]) -> Result<Transform> {
+pub(crate) fn transform(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Transform>> {
     const TYPE: MessageType = MessageType::FoxgloveFrameTransform;
-    let wire: FrameTransformWire = decode(TYPE, encoding, bytes)?;
-    Ok(Transform {
+    let Decoded { value: wire, n_left } = decode::<FrameTransformWire>(TYPE, encoding, bytes)?;
+    let transform = Transform {
         stamp_ns: stamp_ns(TYPE, wire.timestamp)?,
         parent: wire.parent_frame_id,
         child: wire.child_frame_id,
         translation: vector(required(TYPE, "translation", wire.translation)?),
         rotation: quaternion(required(TYPE, "rotation", wire.rotation)?),
-    })
+    };
+    Ok(Decoded { value: transform, n_left })
 }
 
 fn vector(Vector3 { x, y, z }: Vector3) -> [f64; 3] {

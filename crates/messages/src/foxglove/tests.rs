@@ -82,6 +82,21 @@ fn golden_protocol_buffers() {
 }
 
 #[test]
+fn a_protocol_buffer_is_told_from_all_other_types() {
+    let told = |hex| {
+        let bytes = bytes_of(hex);
+        let fits = |&message_type: &MessageType| {
+            is_whole(source(message_type, Encoding::Protobuf), &bytes)
+        };
+        MessageType::ALL.into_iter().filter(fits).collect::<Vec<_>>()
+    };
+    assert_eq!(told(LASER_SCAN), [MessageType::FoxgloveLaserScan]);
+    assert_eq!(told(POINT_CLOUD), [MessageType::FoxglovePointCloud]);
+    assert_eq!(told(POSE_IN_FRAME), [MessageType::FoxglovePoseInFrame]);
+    assert_eq!(told(FRAME_TRANSFORM), [MessageType::FoxgloveFrameTransform]);
+}
+
+#[test]
 fn json_as_foxglove_writes_it() {
     let json = |message_type| source(message_type, Encoding::Json);
     let text = br#"{"timestamp":{"sec":3,"nsec":7},"frame_id":"laser",
