@@ -132,14 +132,18 @@ impl<'a> Packet<'a> {
 
     /// The lasers that have a return in any block: bit `k` is laser `k`.
     pub fn returns_of(&self) -> u32 {
-        let mut distances = [0u8; LASERS];
+        // All blocks in one, byte by byte; the distance of a laser is then 0 if it was in each.
+        let mut any = [0u8; 3 * LASERS];
         for block in self.bytes.as_chunks::<BLOCK_BYTES>().0 {
-            let (returns, _) = block[4..].as_chunks::<3>();
-            for (distance, [low, high, _intensity]) in distances.iter_mut().zip(returns) {
-                *distance |= low | high;
+            for (any, byte) in any.iter_mut().zip(&block[4..]) {
+                *any |= byte;
             }
         }
-        let bits = distances.iter().enumerate().map(|(laser, &any)| u32::from(any != 0) << laser);
+        let (lasers, _) = any.as_chunks::<3>();
+        let bits = lasers
+            .iter()
+            .enumerate()
+            .map(|(laser, [low, high, _intensity])| u32::from(low | high != 0) << laser);
         bits.sum()
     }
 

@@ -1,10 +1,11 @@
 //! A cursor over the two ROS layouts, for messages that are too large to copy; and its counterpart
 //! that writes.
 //!
-//! CDR (OMG formal/02-06-51, section 15.3) follows a four-byte encapsulation header (DDSI-RTPS 2.5,
-//! section 10.2) that names the byte order; a value of n bytes starts at a multiple of n from the
-//! header's end; a string counts and carries its terminating zero. ROS 1 packs everything, little
-//! endian, without terminators. Both put a u32 count before a string or a sequence.
+//! CDR (OMG formal/02-06-51, section 15.3) follows a four-byte encapsulation header (DDSI-RTPS,
+//! "Serialized payload representation") that names the byte order; a value of n bytes starts at a
+//! multiple of n from the header's end; a string counts and carries its terminating zero. ROS 1
+//! packs everything, little endian, without terminators. Both put a u32 count before a string or a
+//! sequence.
 
 use crate::source::{Encoding, MessageType};
 use crate::{MessageError, Result};

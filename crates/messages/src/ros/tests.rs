@@ -298,6 +298,42 @@ fn the_columns_of_a_packed_cloud() {
     }
 }
 
+/// The layouts met in public logs: nuScenes (five `f32`, 20 bytes) and `velodyne_pointcloud` through
+/// PCL (`z` padded to 16 bytes, the point to 32).
+#[test]
+fn the_columns_of_clouds_in_use() {
+    let nuscenes = (20, [("x", 0, Scalar::F32), ("z", 8, Scalar::F32), ("ring", 16, Scalar::F32)]);
+    let pcl = (32, [("x", 0, Scalar::F32), ("ring", 20, Scalar::U16), ("time", 24, Scalar::F32)]);
+    for (point_step, layout) in [nuscenes, pcl] {
+        let mut data = vec![0xAB; 2 * point_step];
+        for (k, (_, offset, kind)) in layout.iter().enumerate() {
+            for point in 0..2 {
+                let at = point * point_step + offset;
+                let value = (10 * k + point) as u16;
+                match kind {
+                    Scalar::U16 => data[at..at + 2].copy_from_slice(&value.to_le_bytes()),
+                    _ => data[at..at + 4].copy_from_slice(&f32::from(value).to_le_bytes()),
+                }
+            }
+        }
+        let fields = layout
+            .map(|(name, offset, kind)| PointField { name: name.to_owned(), offset, kind })
+            .to_vec();
+        let row_step = data.len();
+        let cloud = PointCloud { point_step, row_step, fields, data: data.into(), ..cloud() };
+        for encoding in BOTH {
+            let bytes = write_point_cloud2(encoding, "velodyne", &cloud);
+            let source = source(MessageType::PointCloud2, encoding);
+            let cloud = read_point_cloud(source, &bytes).unwrap();
+            for (k, (name, _, _)) in layout.into_iter().enumerate() {
+                let column = cloud.column(name).unwrap();
+                let expected = (10 * k) as f64;
+                assert_eq!((column.get(0), column.get(1)), (expected, expected + 1.0), "{name}");
+            }
+        }
+    }
+}
+
 #[test]
 fn a_field_of_unknown_datatype_is_named() {
     let one_field = PointCloud { fields: vec![cloud().fields[0].clone()], ..cloud() };
