@@ -126,7 +126,7 @@ fn a_wrong_topic_or_schema_fails() {
         .expect(1)
         .says(&[
             "`/pose` holds `geometry_msgs/msg/PoseStamped, cdr`",
-            "expected `VelodyneScan` or `LaserScan`",
+            "expected `VelodyneScan`, `VelodynePacket`, `PointCloud2`, `LaserScan`, `foxglove.PointCloud` or `foxglove.LaserScan`",
         ]);
     workplace(PIPELINE)
         .command("ingest", "out", &["--set", "ingest.pose.topic=/odom"])

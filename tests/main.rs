@@ -1,5 +1,6 @@
 //! Whole-program tests: one binary, wired from `crates/loopboost`.
 
+mod batch;
 mod errors;
 mod real_logs;
 mod resume;

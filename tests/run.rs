@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use dataset::Label;
 use dataset::tables::{read_features, read_keyframes, read_pairs, read_poses};
 
-use crate::support::{Workplace, root};
+use crate::support::{Workplace, loopboost, root};
 
 const PIPELINE: &str = r#"
 name = "drive"
@@ -159,8 +159,7 @@ fn results_go_to_stdout_and_nothing_else_does() {
 fn the_printed_configuration_runs_like_the_file() {
     let workplace = Workplace::new(PIPELINE);
     let pipeline = workplace.path("drive.toml");
-    let printed =
-        crate::support::loopboost(&["run", pipeline.to_str().unwrap(), "--print-config"]).expect(0);
+    let printed = loopboost(&["run", pipeline.to_str().unwrap(), "--print-config"]).expect(0);
     for default in ["spacing_m = 0.5", "positive_radius_m = 1.5", "gate_m = 2.5", "folds = 10"] {
         assert!(printed.stdout.contains(default), "{default}:\n{}", printed.stdout);
     }
@@ -175,7 +174,7 @@ fn every_pipeline_of_the_repository_is_understood() {
     let mut n = 0;
     for entry in std::fs::read_dir(root().join("pipelines")).unwrap() {
         let path = entry.unwrap().path();
-        crate::support::loopboost(&["run", path.to_str().unwrap(), "--print-config"]).expect(0);
+        loopboost(&["run", path.to_str().unwrap(), "--print-config"]).expect(0);
         n += 1;
     }
     assert!(n >= 3);
@@ -186,12 +185,47 @@ fn inspect_tells_topics_and_a_pipeline_that_works() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("simulate", "out", &[]).expect(0);
     let log = workplace.path("out/logs/there.mcap");
-    let told = crate::support::loopboost(&["inspect", log.to_str().unwrap()]).expect(0);
-    assert!(told.stdout.contains("/velodyne_packets"), "{}", told.stdout);
-    let (_, fitting) = told.stdout.split_once("a pipeline that would fit:\n").unwrap();
+    let log = log.to_str().unwrap();
+    let told = loopboost(&["inspect", log]).expect(0).stdout;
+    for says in ["/velodyne_packets", "Velodyne HDL-32E", "10.00 turns a second", "0 missing"] {
+        assert!(told.contains(says), "`{says}` is not in:\n{told}");
+    }
+    let (_, fitting) = told.split_once("a pipeline that would fit").unwrap();
+    let (_, fitting) = fitting.split_once(":\n").unwrap();
+    // The pipeline that is printed and the one that is written both work, and give the same.
     std::fs::write(workplace.path("drive.toml"), fitting).unwrap();
-    workplace.command("ingest", "again", &[]).expect(0);
-    workplace.command("subsample", "again", &[]).expect(0);
+    workplace.command("ingest", "printed", &[]).expect(0);
+    let written = workplace.path("written.toml");
+    let args = ["inspect", log, "--write", written.to_str().unwrap()];
+    loopboost(&args).expect(0);
+    loopboost(&args).expect(1).says(&["written.toml is there already"]);
+    let text = std::fs::read_to_string(&written).unwrap();
+    assert!(text.contains("logs = [\"out/logs/there.mcap\"]"), "{text}");
+    std::fs::copy(&written, workplace.path("drive.toml")).unwrap();
+    workplace.command("ingest", "written", &[]).expect(0);
+    workplace.command("subsample", "written", &[]).expect(0);
+    assert!(
+        workplace.files("printed")["scans/there.parquet"]
+            == workplace.files("written")["scans/there.parquet"]
+    );
+}
+
+#[test]
+fn inspect_speaks_json() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("simulate", "out", &[]).expect(0);
+    let log = workplace.path("out/logs/there.mcap");
+    let told = loopboost(&["inspect", log.to_str().unwrap(), "--json"]).expect(0).stdout;
+    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
+    let topics = told["survey"]["topics"].as_array().unwrap();
+    let topic = |name: &str| topics.iter().find(|topic| topic["topic"] == name).unwrap();
+    let packets = &topic("/velodyne_packets")["content"]["packets"];
+    assert_eq!(packets["n_missing"], 0);
+    assert!((packets["spin_hz"].as_f64().unwrap() - 10.0).abs() < 0.01);
+    let poses = &topic("/ground_truth")["content"]["poses"];
+    assert!(poses["path_m"].as_f64().unwrap() > 10.0);
+    assert_eq!(told["missing"], serde_json::json!([]));
+    assert!(told["pipeline"].as_str().unwrap().contains("[ingest.lidar]"));
 }
 
 /// The committed logs are what their pipeline files make, on this machine too.
@@ -200,7 +234,7 @@ fn fixtures_are_made_as_they_say() {
     let workplace = Workplace::new("");
     let (pipeline, out) = (root().join("fixtures/corridor.toml"), workplace.path("out"));
     let args = ["simulate", pipeline.to_str().unwrap(), "--out", out.to_str().unwrap()];
-    crate::support::loopboost(&args).expect(0);
+    loopboost(&args).expect(0);
     let committed = std::fs::read(root().join("fixtures/corridor.mcap")).unwrap();
     assert!(workplace.files("out")["logs/corridor.mcap"] == committed);
 }

@@ -31,6 +31,9 @@ pub struct Scan {
     pub y_m: Vec<f32>,
     /// Angle swept by the firings, returned or not \[deg\].
     pub coverage_deg: f32,
+    /// The widest stretch in it without a firing, for want of packets \[deg\]; 0 where none is
+    /// missing.
+    pub hole_deg: f32,
 }
 
 /// Why no features can be computed from a scan.

@@ -29,6 +29,7 @@ fn scan(k: u32) -> Scan {
         x_m: values(0.5),
         y_m: values(-3.0 * k as f32),
         coverage_deg: 359.8,
+        hole_deg: 7.25,
     }
 }
 
@@ -212,6 +213,6 @@ fn another_format_version_names_both_and_the_command() {
     writer.write(&batch).unwrap();
     writer.close().unwrap();
     let message = read_pairs(&path, &[]).unwrap_err().to_string();
-    assert!(message.contains("format version 99, this program reads version 1"), "{message}");
+    assert!(message.contains("format version 99, this program reads version 2"), "{message}");
     assert!(message.contains("`loopboost label PIPELINE.toml --out DIR`"), "{message}");
 }

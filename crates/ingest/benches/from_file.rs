@@ -70,8 +70,12 @@ fn to_scans_table(log: &Path, table: &Path, lidar: &str, pose: &str) -> usize {
     };
     let log = Log::open(log).expect("a log");
     write_scans(table, &Provenance::default(), "log", |writer| {
-        let ingested =
-            ingest::ingest(&log, &options, |scans| Ok::<_, Failed>(writer.push(scans)?), |_| ())?;
+        let ingested = ingest::ingest(
+            &[&log],
+            &options,
+            |scans| Ok::<_, Failed>(writer.push(scans)?),
+            |_| (),
+        )?;
         assert!(!ingested.trajectory.poses().is_empty());
         Ok::<_, Failed>(ingested.n_scans)
     })

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::io::Read;
 
 use dataset::Dropped;
-use mcap::records::{ChunkHeader, Record, op};
+use mcap::records::{ChunkHeader, MessageHeader, Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use crate::log::{Piece, PieceKind};
@@ -20,17 +20,16 @@ pub(crate) struct Buffer {
     zstd: Option<zstd::bulk::Decompressor<'static>>,
 }
 
-/// Calls `visit` with channel number and data of each message of a piece; returns what could not
-/// be read.
+/// Calls `visit` with header and data of each message of a piece; returns what could not be read.
 pub(crate) fn messages(
     log: &[u8],
     piece: &Piece,
     buffer: &mut Buffer,
-    mut visit: impl FnMut(u16, &[u8]),
+    mut visit: impl FnMut(&MessageHeader, &[u8]),
 ) -> Dropped {
     records(log, piece, buffer, |record| {
         if let Record::Message { header, data } = record {
-            visit(header.channel_id, &data);
+            visit(&header, &data);
         }
     })
 }

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use dataset::Dropped;
 use mcap::records::{Record, op};
 use memmap2::{Advice, Mmap, UncheckedAdvice};
-use messages::ros::{Encoding, MessageType};
+use messages::Source;
 
 use crate::IngestError;
 use crate::chunk::{self, Buffer};
@@ -42,11 +42,11 @@ pub struct Channel {
 pub struct Contents {
     /// Channels by their number.
     pub channels: BTreeMap<u16, Channel>,
-    /// Time of the first and the last message \[ns\], where the log says so.
+    /// Time of the first and the last message \[ns\].
     pub time_range_ns: Option<(u64, u64)>,
     /// What of the log's structure is broken.
     pub dropped: Dropped,
-    pieces: Vec<Piece>,
+    pub(crate) pieces: Vec<Piece>,
 }
 
 /// A stretch of the file that holds messages.
@@ -69,31 +69,9 @@ pub(crate) enum PieceKind {
 }
 
 impl Piece {
-    pub(crate) fn end(&self) -> usize {
-        self.range.end
-    }
-}
-
-/// How the messages of one channel are to be read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Source {
-    pub(crate) message_type: MessageType,
-    pub(crate) encoding: Encoding,
-}
-
-/// A topic that a stage asked for; several channels can carry it.
-#[derive(Debug, Clone)]
-pub(crate) struct Topic {
-    pub(crate) name: String,
-    sources: BTreeMap<u16, Source>,
-    /// Messages of the topic that cannot be read for the type of their channel.
-    pub(crate) unfit: Dropped,
-}
-
-impl Topic {
-    #[inline]
-    pub(crate) fn source(&self, channel: u16) -> Option<Source> {
-        self.sources.get(&channel).copied()
+    /// Whether it can hold messages of a channel that is wanted.
+    pub(crate) fn may_hold(&self, wanted: impl Fn(u16) -> bool) -> bool {
+        self.channels.as_ref().is_none_or(|ids| ids.iter().any(|&id| wanted(id)))
     }
 }
 
@@ -176,14 +154,8 @@ impl Log {
         }
         let mut indexes: Vec<_> = summary.chunk_indexes.iter().collect();
         indexes.sort_by_key(|index| index.chunk_start_offset);
-        let mut contents = Contents {
-            channels,
-            time_range_ns: summary
-                .stats
-                .as_ref()
-                .map(|stats| (stats.message_start_time, stats.message_end_time)),
-            ..Contents::default()
-        };
+        let mut contents =
+            Contents { channels, time_range_ns: time_range_ns(&summary), ..Contents::default() };
         let mut at = mcap::MAGIC.len();
         for index in indexes {
             let start = usize::try_from(index.chunk_start_offset).ok()?;
@@ -224,6 +196,7 @@ impl Log {
         let mut schemas = BTreeMap::new();
         let mut channels: BTreeMap<u16, mcap::records::Channel> = BTreeMap::new();
         let mut counts: BTreeMap<u16, u64> = BTreeMap::new();
+        let mut times = None;
         let mut define = |record: Record<'_>| match record {
             Record::Schema { header, .. } => {
                 schemas.entry(header.id).or_insert(header.name);
@@ -231,7 +204,11 @@ impl Log {
             Record::Channel(channel) => {
                 channels.entry(channel.id).or_insert(channel);
             }
-            Record::Message { header, .. } => *counts.entry(header.channel_id).or_default() += 1,
+            Record::Message { header, .. } => {
+                *counts.entry(header.channel_id).or_default() += 1;
+                let (first, last) = times.unwrap_or((header.log_time, header.log_time));
+                times = Some((first.min(header.log_time), last.max(header.log_time)));
+            }
             _ => {}
         };
         // Up to the end of the data: the summary repeats them, and may be what is damaged.
@@ -249,6 +226,7 @@ impl Log {
             // What is broken is counted when the messages are read.
             chunk::records(self.bytes(), piece, &mut buffer, &mut define);
         }
+        contents.time_range_ns = times;
         contents.channels = channels
             .into_iter()
             .map(|(id, channel)| {
@@ -309,95 +287,29 @@ impl Log {
     }
 }
 
-impl Contents {
-    /// Finds the channels of a topic and how to read them.
-    pub(crate) fn topic(
-        &self,
-        log: &Log,
-        name: &str,
-        key: &'static str,
-        types: &[MessageType],
-    ) -> Result<Topic, IngestError> {
-        let source = |channel: &Channel| {
-            let message_type = channel.message_type()?;
-            let encoding = Encoding::from_name(&channel.message_encoding)?;
-            types.contains(&message_type).then_some(Source { message_type, encoding })
-        };
-        let topics = |fits: &dyn Fn(&Channel) -> bool| {
-            let fitting: BTreeSet<String> = self
-                .channels
-                .values()
-                .filter(|channel| fits(channel))
-                .map(|channel| format!("`{}` ({})", channel.topic, channel.describe()))
-                .collect();
-            fitting.into_iter().collect::<Vec<_>>().join(", ")
-        };
-        let suitable = || match topics(&|channel| source(channel).is_some()) {
-            none if none.is_empty() => format!(
-                "none would do; the log has {}",
-                match topics(&|_| true) {
-                    none if none.is_empty() => "no topic at all".to_owned(),
-                    all => all,
-                }
-            ),
-            some => some,
-        };
-        let channels: Vec<_> = self.channels.iter().filter(|(_, c)| c.topic == name).collect();
-        if channels.is_empty() {
-            return Err(IngestError::NoTopic {
-                path: log.path().to_owned(),
-                topic: name.to_owned(),
-                key,
-                topics: suitable(),
-            });
-        }
-        let sources: BTreeMap<u16, Source> =
-            channels.iter().filter_map(|(id, channel)| Some((**id, source(channel)?))).collect();
-        if sources.is_empty() {
-            return Err(IngestError::WrongType {
-                path: log.path().to_owned(),
-                topic: name.to_owned(),
-                key,
-                found: channels[0].1.describe(),
-                expected: match key {
-                    "ingest.pose.topic" => "`PoseStamped` or `Odometry` as `cdr` or `ros1`",
-                    _ => "`VelodyneScan` or `LaserScan` as `cdr` or `ros1`",
-                },
-                topics: suitable(),
-            });
-        }
-        // Another channel of the topic, of a type that does not fit, is left out and counted.
-        let mut unfit = Dropped::default();
-        for (_, channel) in channels.iter().filter(|(id, _)| !sources.contains_key(id)) {
-            let reason = format!("messages of {name} in a channel of {}", channel.describe());
-            unfit.add(reason, channel.n_messages.unwrap_or(1));
-        }
-        Ok(Topic { name: name.to_owned(), sources, unfit })
-    }
-
-    /// The pieces that hold, or may hold, messages of the topics.
-    pub(crate) fn pieces_with(&self, lidar: &Topic, pose: Option<&Topic>) -> Vec<&Piece> {
-        let wanted = |id: &u16| {
-            lidar.sources.contains_key(id) || pose.is_some_and(|pose| pose.sources.contains_key(id))
-        };
-        self.pieces
-            .iter()
-            .filter(|piece| piece.channels.as_ref().is_none_or(|ids| ids.iter().any(wanted)))
-            .collect()
-    }
-}
-
 impl Channel {
-    /// What a scan could be made of its messages, or of which type its poses are.
-    pub fn message_type(&self) -> Option<MessageType> {
-        Encoding::from_name(&self.message_encoding)?;
-        MessageType::from_schema_name(&self.schema)
+    /// How its messages are read, where that is known.
+    pub fn source(&self) -> Option<Source> {
+        Source::new(&self.schema, &self.message_encoding)
     }
 
     /// Schema and encoding, for messages.
     pub fn describe(&self) -> String {
         let schema = if self.schema.is_empty() { "no schema" } else { &self.schema };
         format!("{schema}, {}", self.message_encoding)
+    }
+}
+
+/// Time of the first and the last message, from the statistics or else from the chunk indexes.
+fn time_range_ns(summary: &mcap::Summary) -> Option<(u64, u64)> {
+    match &summary.stats {
+        Some(stats) if stats.message_count == 0 => None,
+        Some(stats) => Some((stats.message_start_time, stats.message_end_time)),
+        None => {
+            let first = summary.chunk_indexes.iter().map(|index| index.message_start_time).min()?;
+            let last = summary.chunk_indexes.iter().map(|index| index.message_end_time).max()?;
+            Some((first, last))
+        }
     }
 }
 

@@ -1,26 +1,22 @@
 //! A `LaserScan` message -> a scan.
 
 use dataset::Scan;
-use messages::MessageError;
-use messages::ros::{self, Encoding};
+use messages::{MessageError, Source, read_laser_scan};
 
 use crate::LidarOptions;
 
 /// Beam `i` points to `angle_min + i angle_increment`; a reading outside the message's own range
-/// limits or the options' is no return (`sensor_msgs/LaserScan`, REP 117).
-pub(crate) fn scan(
-    encoding: Encoding,
-    data: &[u8],
-    options: &LidarOptions,
-) -> messages::Result<Scan> {
-    let message = ros::read_laser_scan(encoding, data)?;
+/// limits or the options' is no return (`sensor_msgs/LaserScan`, REP 117), nor is one at the
+/// message's maximum, which older drivers give where nothing returned.
+pub(crate) fn scan(source: Source, data: &[u8], options: &LidarOptions) -> messages::Result<Scan> {
+    let message = read_laser_scan(source, data)?;
     if !message.angle_min.is_finite() || !message.angle_increment.is_finite() {
         return Err(MessageError::NotFinite { message: "LaserScan" });
     }
     // Compared as the message's own f32, so that a reading at a limit is within it.
     let limits = options.range_min_m as f32..=options.range_max_m as f32;
-    let own_limits = message.range_min..=message.range_max;
-    let increment = f64::from(message.angle_increment);
+    let own_limits = message.range_min..message.range_max;
+    let increment = message.angle_increment;
     let side = if options.upside_down { -1.0 } else { 1.0 };
     let mut scan = Scan {
         stamp_ns: message.stamp_ns,
@@ -30,7 +26,7 @@ pub(crate) fn scan(
     };
     for (beam, &range) in message.ranges.iter().enumerate() {
         if own_limits.contains(&range) && limits.contains(&range) {
-            let (sin, cos) = libm::sincos(f64::from(message.angle_min) + beam as f64 * increment);
+            let (sin, cos) = libm::sincos(message.angle_min + beam as f64 * increment);
             scan.x_m.push((f64::from(range) * cos) as f32);
             scan.y_m.push((f64::from(range) * sin * side) as f32);
         }
@@ -41,17 +37,23 @@ pub(crate) fn scan(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use messages::ros::{self, Encoding};
+    use messages::{LaserScan, MessageType};
     use std::f32::consts::FRAC_PI_2;
 
-    fn message(ranges: Vec<f32>) -> ros::LaserScan {
-        ros::LaserScan {
+    fn message(ranges: Vec<f32>) -> LaserScan {
+        LaserScan {
             stamp_ns: 77,
-            angle_min: -FRAC_PI_2,
-            angle_increment: FRAC_PI_2,
+            angle_min: f64::from(-FRAC_PI_2),
+            angle_increment: f64::from(FRAC_PI_2),
             range_min: 0.05,
             range_max: 50.0,
             ranges,
         }
+    }
+
+    fn source(encoding: Encoding) -> Source {
+        Source { message_type: MessageType::LaserScan, encoding }
     }
 
     #[test]
@@ -60,7 +62,7 @@ mod tests {
         let options = LidarOptions::default();
         for encoding in [Encoding::Cdr, Encoding::Ros1] {
             let bytes = ros::write_laser_scan(encoding, "laser", &message);
-            let scan = scan(encoding, &bytes, &options).unwrap();
+            let scan = scan(source(encoding), &bytes, &options).unwrap();
             assert_eq!(scan.stamp_ns, 77);
             assert_eq!(scan.coverage_deg, 180.0);
             let expected = [(0.0, -1.0), (2.0, 0.0), (0.0, 3.0)];
@@ -70,16 +72,16 @@ mod tests {
         }
         let upside_down = LidarOptions { upside_down: true, ..LidarOptions::default() };
         let bytes = ros::write_laser_scan(Encoding::Cdr, "laser", &message);
-        let scan = scan(Encoding::Cdr, &bytes, &upside_down).unwrap();
+        let scan = scan(source(Encoding::Cdr), &bytes, &upside_down).unwrap();
         assert!((scan.y_m[0] - 1.0).abs() < 1e-6);
     }
 
     #[test]
     fn no_returns_in_every_spelling_are_left_out() {
-        let ranges = vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, 51.0, 0.89, 0.9];
+        let ranges = vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, 51.0, 50.0, 0.89, 0.9];
         let bytes = ros::write_laser_scan(Encoding::Cdr, "laser", &message(ranges));
-        let scan = scan(Encoding::Cdr, &bytes, &LidarOptions::default()).unwrap();
+        let scan = scan(source(Encoding::Cdr), &bytes, &LidarOptions::default()).unwrap();
         assert_eq!(scan.len(), 1, "only 0.9 m is within both limits");
-        assert_eq!(scan.coverage_deg, 540.0, "swept, returned or not");
+        assert_eq!(scan.coverage_deg, 630.0, "swept, returned or not");
     }
 }

@@ -1,20 +1,16 @@
 //! Pose messages -> stamped poses in the plane.
 
 use dataset::{Pose2, StampedPose};
-use messages::ros::{self, MessageType};
-
-use crate::log::Source;
+use messages::{Source, read_pose};
 
 /// A quaternion whose norm is farther from 1 than this is no orientation.
 const MAX_NORM_ERROR: f64 = 0.01;
 
 /// Reads one pose; the error says what is wrong with the message ("that ...").
 pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, String> {
-    let pose = match source.message_type {
-        MessageType::Odometry => ros::read_odometry(source.encoding, data),
-        _ => ros::read_pose_stamped(source.encoding, data),
-    }
-    .map_err(|e| format!("that do not decode as {} ({})", source.message_type.name(), e.kind()))?;
+    let pose = read_pose(source, data).map_err(|error| {
+        format!("that do not decode as {} ({})", source.message_type.name(), error.kind())
+    })?;
     let [x, y, z, w] = pose.orientation;
     let norm = (x * x + y * y + z * z + w * w).sqrt();
     if !pose.position.iter().all(|v| v.is_finite()) || !norm.is_finite() {
@@ -42,16 +38,24 @@ fn yaw_rad([x, y, z, w]: [f64; 4]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use messages::ros::{Encoding, StampedPose3, write_odometry, write_pose_stamped};
+    use messages::ros::{write_odometry, write_pose_stamped};
+    use messages::{Encoding, MessageType, Odometry, StampedPose3};
 
     fn read(orientation: [f64; 4], x: f64) -> Result<StampedPose, String> {
         let pose = StampedPose3 { stamp_ns: 9, position: [x, 2.0, 3.0], orientation };
         let source = |message_type| Source { message_type, encoding: Encoding::Cdr };
-        let bytes = write_odometry(Encoding::Cdr, "odom", "base", &pose);
-        let odometry = stamped_pose(source(MessageType::Odometry), &bytes);
         let bytes = write_pose_stamped(Encoding::Cdr, "map", &pose);
         let stamped = stamped_pose(source(MessageType::PoseStamped), &bytes);
-        assert_eq!(odometry, stamped);
+        let odometry = Odometry {
+            pose,
+            frame_id: "odom".to_owned(),
+            child_frame_id: "base".to_owned(),
+            pose_covariance: [0.0; 36],
+            linear_velocity: [1.0, 0.0, 0.0],
+            angular_velocity: [0.0; 3],
+        };
+        let bytes = write_odometry(Encoding::Cdr, &odometry);
+        assert_eq!(stamped_pose(source(MessageType::Odometry), &bytes), stamped);
         stamped
     }
 

@@ -1,11 +1,10 @@
 //! `VelodyneScan` messages -> the firings of one laser, packet by packet.
 
-use dataset::Dropped;
-use messages::hdl32e::{BLOCK_PERIOD_NS, BLOCKS, HORIZONTAL_LASER, HOUR_US, Packet, ReturnMode};
-use messages::ros::{Encoding, VelodyneScan};
+use std::collections::BTreeMap;
 
-/// The laser that makes the scan, in firing order.
-pub(crate) const LASER: usize = HORIZONTAL_LASER;
+use dataset::Dropped;
+use messages::hdl32e::{self, BLOCK_PERIOD_NS, BLOCKS, Packet, ReturnMode};
+use messages::{Source, read_velodyne};
 
 /// What one packet tells of one laser.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,33 +24,34 @@ pub(crate) struct RingPacket {
 }
 
 impl RingPacket {
-    pub(crate) fn new(end_ns: i64, packet: &Packet<'_>) -> Self {
+    /// What a packet tells of a laser, given in firing order.
+    pub(crate) fn new(end_ns: i64, packet: &Packet<'_>, laser: usize) -> Self {
         let mut ring = Self {
             end_ns,
             device_us: packet.device_time_us(),
             n_firings: BLOCKS as u8,
             product: packet.product(),
             azimuth: std::array::from_fn(|block| packet.azimuth(block)),
-            distance: std::array::from_fn(|block| packet.distance(block, LASER)),
+            distance: std::array::from_fn(|block| packet.distance(block, laser)),
         };
         if packet.return_mode() == Some(ReturnMode::Dual) {
-            ring.take_the_stronger_of_two(packet);
+            ring.take_the_stronger_of_two(packet, laser);
         }
         ring
     }
 
     /// In dual-return mode two blocks of one azimuth belong to one firing; the stronger return of
     /// the two makes the scan, whichever of them comes first.
-    fn take_the_stronger_of_two(&mut self, packet: &Packet<'_>) {
+    fn take_the_stronger_of_two(&mut self, packet: &Packet<'_>, laser: usize) {
         self.n_firings = (BLOCKS / 2) as u8;
         for firing in 0..BLOCKS / 2 {
             let (first, second) = (2 * firing, 2 * firing + 1);
-            let block = match packet.intensity(second, LASER) < packet.intensity(first, LASER) {
+            let block = match packet.intensity(second, laser) < packet.intensity(first, laser) {
                 true => first,
                 false => second,
             };
             self.azimuth[firing] = packet.azimuth(first);
-            self.distance[firing] = packet.distance(block, LASER);
+            self.distance[firing] = packet.distance(block, laser);
         }
     }
 
@@ -59,115 +59,84 @@ impl RingPacket {
     pub(crate) fn period_ns(&self) -> i64 {
         i64::from(self.n_firings) * BLOCK_PERIOD_NS
     }
-}
 
-/// Adds the packets of one message; a packet that is none of an HDL-32E's is counted.
-pub(crate) fn extract(
-    encoding: Encoding,
-    data: &[u8],
-    packets: &mut Vec<RingPacket>,
-    dropped: &mut Dropped,
-) -> messages::Result<()> {
-    let scan = VelodyneScan::read(encoding, data)?;
-    packets.reserve(scan.len());
-    for (end_ns, bytes) in scan.packets() {
-        match Packet::new(bytes) {
-            Ok(packet) => packets.push(RingPacket::new(end_ns, &packet)),
-            Err(_) => dropped.add("packets without the layout of an HDL-32E data packet", 1),
-        }
+    /// Whether this is another copy of a packet.
+    pub(crate) fn repeats(&self, other: &Self) -> bool {
+        // A sensor whose clock stands still, and that does not turn, sends equal packets.
+        let turns = self.azimuth[0] != self.azimuth[usize::from(self.n_firings) - 1];
+        self.device_us == other.device_us && self.azimuth == other.azimuth && turns
     }
-    Ok(())
 }
 
-/// A sensor that is no HDL-32E.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct OtherSensor {
-    pub(crate) name: &'static str,
-    pub(crate) evidence: String,
+/// What the messages of a stretch of the log hold.
+#[derive(Debug, Default)]
+pub(crate) struct Packets {
+    pub(crate) packets: Vec<RingPacket>,
+    /// Lasers that had a return in the packets looked at, a bit each.
+    pub(crate) lasers_with_returns: u32,
+    /// Packets of other Velodyne models, by name.
+    pub(crate) foreign: BTreeMap<&'static str, u64>,
+    pub(crate) dropped: Dropped,
 }
 
-/// Velodyne models: name, product byte, and packet period in single-return mode \[us\]
-/// (VLP-16, Puck Hi-Res and VLP-32C: one firing sequence takes 55.296 us; a packet of the 16-laser
-/// models holds 24 of them, one of the VLP-32C 12. Manuals 63-9243 and 63-9325, "Firing timing").
-const MODELS: [(&str, u8, f64); 5] = [
-    ("Velodyne HDL-32E", 0x21, 552.96),
-    ("Velodyne VLP-16", 0x22, 1327.104),
-    ("Velodyne Puck Hi-Res", 0x24, 1327.104),
-    ("Velodyne VLP-32C", 0x28, 663.552),
-    ("Velodyne VLS-128", 0xA1, 159.9),
-];
+/// One packet in so many is looked at for the lasers that have returns.
+const LOOKED_AT: usize = 16;
 
-/// How far a measured packet period may lie from a model's.
-const PERIOD_TOLERANCE: f64 = 0.05;
-
-/// Tells from product byte and packet period whether packets are another model's.
-///
-/// The period decides: the product byte of an early VLP-16 says HDL-32E. A device clock that
-/// stands still, or packets too few to tell, leave the product byte alone to speak; a byte that no
-/// model has (old firmware sends none) is believed to be an HDL-32E's.
-pub(crate) fn other_sensor(packets: &[RingPacket]) -> Option<OtherSensor> {
-    let first = packets.first()?;
-    let returns = BLOCKS as f64 / f64::from(first.n_firings);
-    let mut gaps_us: Vec<f64> =
-        packets.windows(2).map(|pair| device_gap_us(&pair[0], &pair[1])).collect();
-    gaps_us.sort_by(f64::total_cmp);
-    let measured_us = gaps_us.get(gaps_us.len() / 2).copied().unwrap_or(0.0) * returns;
-    let model_of_period = MODELS
-        .iter()
-        .find(|(_, _, period_us)| (measured_us / period_us - 1.0).abs() < PERIOD_TOLERANCE);
-    let (name, evidence) = match model_of_period {
-        Some((name, _, _)) => (*name, format!("a packet every {measured_us:.0} us")),
-        None => {
-            let (name, byte, _) = MODELS.iter().find(|(_, byte, _)| *byte == first.product)?;
-            (*name, format!("product byte {byte:#04x}"))
+impl Packets {
+    /// Adds the packets of one message; a packet that is none of an HDL-32E's is counted.
+    pub(crate) fn add(
+        &mut self,
+        source: Source,
+        data: &[u8],
+        laser: usize,
+    ) -> messages::Result<()> {
+        let scan = read_velodyne(source, data)?;
+        self.packets.reserve(scan.len());
+        for (k, (end_ns, bytes)) in scan.packets().enumerate() {
+            match Packet::new(bytes) {
+                Ok(packet) => {
+                    self.packets.push(RingPacket::new(end_ns, &packet, laser));
+                    if k % LOOKED_AT == 0 {
+                        self.lasers_with_returns |= packet.returns_of();
+                    }
+                }
+                Err(_) => {
+                    if let Some(model) = hdl32e::foreign_layout(bytes) {
+                        *self.foreign.entry(model).or_default() += 1;
+                    }
+                    self.dropped.add("packets without the layout of an HDL-32E data packet", 1);
+                }
+            }
         }
-    };
-    (name != MODELS[0].0).then_some(OtherSensor { name, evidence })
-}
-
-/// Device time from one packet to another \[us\], negative where the other was earlier. The clock
-/// starts again at the top of the hour: of the two ways around, the shorter.
-pub(crate) fn device_gap_us(from: &RingPacket, to: &RingPacket) -> f64 {
-    let hour = f64::from(HOUR_US);
-    let gap = f64::from(to.device_us) - f64::from(from.device_us);
-    if gap < -hour / 2.0 {
-        gap + hour
-    } else if hour / 2.0 < gap {
-        gap - hour
-    } else {
-        gap
+        Ok(())
     }
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
-    use messages::hdl32e::{PRODUCT_HDL32E, PacketBuilder};
+    use messages::hdl32e::{HOUR_US, LASERS, PACKET_PERIOD_NS, PRODUCT_HDL32E, PacketBuilder};
+    use messages::ros::{self, Encoding};
+    use messages::{MessageType, Source};
 
-    fn packets(period_us: u32, product: u8) -> Vec<RingPacket> {
-        let bytes = PacketBuilder::new([0; BLOCKS], 0).finish();
-        let packet = RingPacket::new(0, &Packet::new(&bytes).unwrap());
-        (0..10)
-            .map(|k| {
-                let mut packet = packet;
-                packet.device_us = ((u64::from(HOUR_US) - 1000 + k * u64::from(period_us))
-                    % u64::from(HOUR_US)) as u32;
-                packet.product = product;
-                packet
+    const LASER: usize = hdl32e::HORIZONTAL_LASER;
+
+    /// Packets of a sensor that turns by `step` \[0.01 deg\] a block, starting at `azimuth`; each
+    /// firing measures 5 m. The clock wraps at the top of the hour after the third packet.
+    pub(crate) fn packets(n: usize, azimuth: u32, step: u32) -> Vec<RingPacket> {
+        (0..n)
+            .map(|k| RingPacket {
+                end_ns: 1_000_000_000 + (k as i64 + 1) * PACKET_PERIOD_NS,
+                device_us: ((u64::from(HOUR_US) - 1500 + 553 * k as u64) % u64::from(HOUR_US))
+                    as u32,
+                n_firings: BLOCKS as u8,
+                product: PRODUCT_HDL32E,
+                azimuth: std::array::from_fn(|b| {
+                    ((azimuth + step * (k * BLOCKS + b) as u32) % 36_000) as u16
+                }),
+                distance: [2500; BLOCKS],
             })
             .collect()
-    }
-
-    #[test]
-    fn the_period_tells_the_sensor_and_the_product_byte_only_where_it_does_not() {
-        assert_eq!(other_sensor(&packets(553, PRODUCT_HDL32E)), None);
-        assert_eq!(other_sensor(&packets(553, 0)), None, "old firmware");
-        let lying = other_sensor(&packets(1327, PRODUCT_HDL32E)).unwrap();
-        assert_eq!(lying.name, "Velodyne VLP-16");
-        assert_eq!(lying.evidence, "a packet every 1327 us");
-        assert_eq!(other_sensor(&packets(0, 0x28)).unwrap().name, "Velodyne VLP-32C");
-        assert_eq!(other_sensor(&packets(0, PRODUCT_HDL32E)), None);
-        assert_eq!(other_sensor(&[]), None);
     }
 
     #[test]
@@ -181,7 +150,7 @@ mod tests {
         builder.set_return(4, LASER, 555, 70); // one return, sent twice
         builder.set_return(5, LASER, 555, 70);
         let bytes = builder.finish();
-        let ring = RingPacket::new(0, &Packet::new(&bytes).unwrap());
+        let ring = RingPacket::new(0, &Packet::new(&bytes).unwrap(), LASER);
         assert_eq!(ring.n_firings, 6);
         assert_eq!(ring.period_ns(), 276_480);
         assert_eq!(ring.azimuth[..6], [0, 100, 200, 300, 400, 500]);
@@ -189,15 +158,26 @@ mod tests {
     }
 
     #[test]
-    fn packets_of_another_layout_are_counted() {
-        let good = PacketBuilder::new([5; BLOCKS], 0).finish();
+    fn packets_of_another_layout_are_counted_and_named() {
+        let mut good = PacketBuilder::new([5; BLOCKS], 0);
+        good.set_return(3, 11, 500, 9);
+        let good = good.finish();
         let mut bad = good;
         bad[0] = 0;
+        // An HDL-64E alternates between its upper and its lower block of lasers.
+        let mut hdl64e = good;
+        (1..BLOCKS).step_by(2).for_each(|block| hdl64e[block * 100 + 1] = 0xDD);
         let message =
-            messages::ros::write_velodyne_scan(Encoding::Cdr, "v", 0, &[(1, good), (2, bad)]);
-        let (mut packets, mut dropped) = (Vec::new(), Dropped::default());
-        extract(Encoding::Cdr, &message, &mut packets, &mut dropped).unwrap();
-        assert_eq!(packets.len(), 1);
-        assert_eq!(dropped.iter().map(|(_, n)| n).collect::<Vec<_>>(), [1]);
+            ros::write_velodyne_scan(Encoding::Cdr, "v", 0, &[(1, good), (2, bad), (3, hdl64e)]);
+        let source = Source { message_type: MessageType::VelodyneScan, encoding: Encoding::Cdr };
+        for laser in 0..LASERS {
+            let mut found = Packets::default();
+            found.add(source, &message, laser).unwrap();
+            assert_eq!(found.packets.len(), 1);
+            assert_eq!(found.packets[0].distance[3], if laser == 11 { 500 } else { 0 });
+            assert_eq!(found.dropped.iter().map(|(_, n)| n).collect::<Vec<_>>(), [2]);
+            assert_eq!(found.foreign.into_iter().collect::<Vec<_>>(), [("HDL-64E", 1)]);
+            assert_eq!(found.lasers_with_returns, 1 << 11);
+        }
     }
 }

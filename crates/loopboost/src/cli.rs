@@ -32,11 +32,20 @@ enum Command {
         /// Tell what would be done, and why, and do nothing
         #[arg(long)]
         dry_run: bool,
+        /// Stop at a log that cannot be ingested, instead of leaving it out
+        #[arg(long)]
+        strict: bool,
     },
     /// Make the logs of the pipeline's [simulate] section
     Simulate(PipelineArgs),
     /// Logs -> scans/LOG.parquet, poses/LOG.parquet
-    Ingest(PipelineArgs),
+    Ingest {
+        #[command(flatten)]
+        args: PipelineArgs,
+        /// Stop at a log that cannot be ingested, instead of leaving it out
+        #[arg(long)]
+        strict: bool,
+    },
     /// Scans and poses -> keyframes.parquet
     Subsample(PipelineArgs),
     /// Keyframes -> pairs.parquet
@@ -49,8 +58,14 @@ enum Command {
     Evaluate(PipelineArgs),
     /// Tell what a log holds and which pipeline would fit it
     Inspect {
-        /// An MCAP log
+        /// An MCAP log, or a folder with one drive that was split into several
         log: PathBuf,
+        /// Write the pipeline to a new file
+        #[arg(long, value_name = "FILE.toml")]
+        write: Option<PathBuf>,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
     },
     /// Tell what an artifact was made from, up to the logs
     Log {
@@ -154,22 +169,22 @@ impl Cli {
     pub(crate) fn execute(self) -> Result<Dropped> {
         let always = Mode::Always;
         match self.command {
-            Command::Run { args, force, dry_run } => {
+            Command::Run { args, force, dry_run, strict } => {
                 let force = force
                     .into_iter()
                     .filter_map(|stage| Some(stage.to_possible_value()?.get_name().to_owned()))
                     .collect();
                 let mode = if dry_run { Mode::DryRun { force } } else { Mode::Resume { force } };
-                args.execute(mode, pipeline::run)
+                args.execute(mode, strict, pipeline::run)
             }
-            Command::Simulate(args) => args.execute(always, stages::simulate::run),
-            Command::Ingest(args) => args.execute(always, stages::ingest::run),
-            Command::Subsample(args) => args.execute(always, stages::subsample::run),
-            Command::Label(args) => args.execute(always, stages::label::run),
-            Command::Featurize(args) => args.execute(always, stages::featurize::run),
-            Command::Train(args) => args.execute(always, stages::train::run),
-            Command::Evaluate(args) => args.execute(always, stages::evaluate::run),
-            Command::Inspect { log } => inspect::inspect(&log),
+            Command::Simulate(args) => args.execute(always, true, stages::simulate::run),
+            Command::Ingest { args, strict } => args.execute(always, strict, stages::ingest::run),
+            Command::Subsample(args) => args.execute(always, true, stages::subsample::run),
+            Command::Label(args) => args.execute(always, true, stages::label::run),
+            Command::Featurize(args) => args.execute(always, true, stages::featurize::run),
+            Command::Train(args) => args.execute(always, true, stages::train::run),
+            Command::Evaluate(args) => args.execute(always, true, stages::evaluate::run),
+            Command::Inspect { log, write, json } => inspect::inspect(&log, write.as_deref(), json),
             Command::Log { artifact } => done(lineage::log(&artifact)),
             Command::Verify { folder, pipeline } => {
                 let config = pipeline.map(|path| Config::load(&path, &[])).transpose()?;
@@ -197,10 +212,15 @@ impl Cli {
 }
 
 impl PipelineArgs {
-    fn execute(self, mode: Mode, stage: fn(&Run) -> Result<Dropped>) -> Result<Dropped> {
+    fn execute(
+        self,
+        mode: Mode,
+        strict: bool,
+        stage: fn(&Run) -> Result<Dropped>,
+    ) -> Result<Dropped> {
         let config = Config::load(&self.pipeline, &self.overrides)?;
         match self.out {
-            Some(out) if !self.print_config => stage(&Run::new(config, out, mode)?),
+            Some(out) if !self.print_config => stage(&Run::new(config, out, mode, strict)?),
             _ => {
                 out!("{}", config.to_toml()?.trim_end());
                 Ok(Dropped::default())

@@ -10,6 +10,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
+use crate::logs::{self, LogFile};
+
 /// The command line or the pipeline file is not understood; exit code 2.
 #[derive(Debug)]
 pub(crate) struct UsageError(String);
@@ -66,7 +68,8 @@ fn default_seed() -> u64 {
 #[derive(Debug, Clone, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct IngestSection {
-    /// Files, folders (their `*.mcap`) or globs, relative to the pipeline file.
+    /// Files, folders (their `*.mcap`, those that were split from one drive together) or globs,
+    /// relative to the pipeline file.
     pub(crate) logs: Vec<String>,
     /// The map frame of all logs; without it each log has its own.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -139,32 +142,11 @@ impl Config {
         toml::to_string(self).context("cannot write the options as TOML")
     }
 
-    /// The logs that `ingest.logs` names, in its order, those of a folder or glob by name. A file
-    /// that is named itself need not be there: only `ingest` reads it.
-    pub(crate) fn log_files(&self) -> Result<Vec<PathBuf>> {
+    /// The logs that `ingest.logs` names, in its order.
+    pub(crate) fn log_files(&self) -> Result<Vec<LogFile>> {
         let mut files = Vec::new();
         for entry in &self.ingest.logs {
-            let path = self.folder.join(entry);
-            let escaped = |path: &Path| glob::Pattern::escape(&path.to_string_lossy());
-            let pattern = if path.is_dir() {
-                format!("{}/*.mcap", escaped(&path))
-            } else if path.exists() || !entry.contains(['*', '?', '[']) {
-                files.push(path);
-                continue;
-            } else {
-                let folder = escaped(&self.folder);
-                if folder.is_empty() { entry.clone() } else { format!("{folder}/{entry}") }
-            };
-            let found: Vec<PathBuf> = glob::glob(&pattern)
-                .with_context(|| format!("`ingest.logs`: `{entry}` is no path or glob"))?
-                .collect::<Result<_, _>>()
-                .with_context(|| format!("`ingest.logs`: cannot look for `{entry}`"))?;
-            if found.is_empty() {
-                return Err(anyhow!(
-                    "`ingest.logs`: nothing matches `{entry}` (looked for {pattern}; paths are relative to the pipeline file)"
-                ));
-            }
-            files.extend(found);
+            files.extend(logs::find(&self.folder, entry)?);
         }
         Ok(files)
     }

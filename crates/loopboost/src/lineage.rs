@@ -117,8 +117,10 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
     let manifest = Manifest::load_existing(folder)?;
     let mut logs: BTreeMap<String, PathBuf> = BTreeMap::new();
     for log in config.map(Config::log_files).transpose()?.unwrap_or_default() {
-        let name = log.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        logs.insert(name, log);
+        for path in log.paths {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            logs.insert(name, path);
+        }
     }
     let mut digests: BTreeMap<String, Option<String>> = BTreeMap::new();
     let mut digest_of = |name: &str| -> Option<String> {

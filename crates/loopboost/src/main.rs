@@ -15,6 +15,7 @@ mod cli;
 mod config;
 mod inspect;
 mod lineage;
+mod logs;
 mod manifest;
 mod models;
 mod options;

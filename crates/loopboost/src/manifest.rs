@@ -13,13 +13,15 @@ use serde::{Deserialize, Serialize};
 
 /// Version of the layout of `run.json`; a file of another version is not read, and everything is
 /// done again.
-const FORMAT_VERSION: u32 = 1;
+const FORMAT_VERSION: u32 = 2;
 
 /// The tasks of a run folder, by name ("ingest monday", "label").
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Manifest {
     format_version: u32,
+    /// Logs that could not be ingested, and why.
+    pub(crate) failed: BTreeMap<String, String>,
     pub(crate) tasks: BTreeMap<String, Record>,
 }
 

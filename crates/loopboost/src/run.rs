@@ -1,6 +1,6 @@
 //! A run: a configuration, a folder, its tasks, and what is said on the way.
 
-use std::cell::RefCell;
+use std::cell::{OnceCell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,8 @@ use dataset::Dropped;
 use dataset::tables::{Provenance, TableError, digest_file, is_partial, read_provenance};
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::config::{Config, stem, usage};
+use crate::config::{Config, usage};
+use crate::logs::LogFile;
 use crate::manifest::{Manifest, Record, changes};
 use crate::options::{maker_of, options_of};
 
@@ -31,6 +32,9 @@ pub(crate) struct Run {
     pub(crate) config: Config,
     folder: PathBuf,
     mode: Mode,
+    /// A log that cannot be ingested ends the run.
+    pub(crate) strict: bool,
+    logs: OnceCell<Vec<LogFile>>,
     manifest: RefCell<Manifest>,
     /// Digests of files this process has seen and not changed since.
     digests: RefCell<BTreeMap<PathBuf, String>>,
@@ -59,13 +63,6 @@ pub(crate) enum Mode {
     Always,
 }
 
-/// A log of the run.
-pub(crate) struct LogFile {
-    /// File stem, unique in the run.
-    pub(crate) name: Arc<str>,
-    pub(crate) path: PathBuf,
-}
-
 /// A piece of work that is done whole or not at all.
 pub(crate) struct Task {
     pub(crate) stage: &'static str,
@@ -84,7 +81,7 @@ pub(crate) struct Done {
 
 impl Run {
     /// Takes hold of a run folder; fails where another process has it.
-    pub(crate) fn new(config: Config, folder: PathBuf, mode: Mode) -> Result<Self> {
+    pub(crate) fn new(config: Config, folder: PathBuf, mode: Mode, strict: bool) -> Result<Self> {
         let lock = match mode {
             Mode::DryRun { .. } => None,
             _ => Some(lock(&folder)?),
@@ -100,6 +97,8 @@ impl Run {
             would_change: RefCell::default(),
             folder,
             mode,
+            strict,
+            logs: OnceCell::new(),
             _lock: lock,
         })
     }
@@ -122,35 +121,62 @@ impl Run {
     }
 
     /// The run's logs: the simulated ones, then those of `ingest.logs`.
-    pub(crate) fn logs(&self) -> Result<Vec<LogFile>> {
+    pub(crate) fn logs(&self) -> Result<&[LogFile]> {
+        if let Some(logs) = self.logs.get() {
+            return Ok(logs);
+        }
         let simulated = self.config.simulate.iter().flat_map(|s| &s.logs);
-        let mut paths: Vec<PathBuf> = simulated.map(|name| self.simulated_log(name)).collect();
-        paths.extend(self.config.log_files()?);
-        if paths.is_empty() {
+        let mut logs: Vec<LogFile> =
+            simulated.map(|name| LogFile::of(self.simulated_log(name))).collect();
+        logs.extend(self.config.log_files()?);
+        if logs.is_empty() {
             return Err(usage(
                 "`ingest.logs` is empty: name the logs, or add a [simulate] section",
             ));
         }
-        let logs: Vec<LogFile> =
-            paths.into_iter().map(|path| LogFile { name: stem(&path).into(), path }).collect();
         let mut seen = BTreeSet::new();
         for log in &logs {
             if !seen.insert(&log.name) {
                 return Err(anyhow!(
-                    "two logs are named `{}`, the second is {}; a log is named by its file stem, which must be unique in a run: rename one",
+                    "two logs are named `{}`, the second is {}; a log is named by its file stem (or by its folder, where a drive was split), which must be unique in a run: rename one",
                     log.name,
-                    log.path.display()
+                    log.paths[0].display()
                 ));
             }
         }
-        let names: BTreeSet<&str> = logs.iter().map(|log| &*log.name).collect();
-        if let Some(stray) = self.config.ingest.log.keys().find(|log| !names.contains(log.as_str()))
-        {
+        let is_log = |name: &&String| seen.iter().any(|log| ***log == ***name);
+        if let Some(stray) = self.config.ingest.log.keys().find(|name| !is_log(name)) {
             return Err(usage(format!(
                 "[ingest.log.{stray}]: no log of this run is named `{stray}`"
             )));
         }
-        Ok(logs)
+        Ok(self.logs.get_or_init(|| logs))
+    }
+
+    /// The run's logs without those that could not be ingested.
+    pub(crate) fn ingested_logs(&self) -> Result<Vec<LogFile>> {
+        let manifest = self.manifest.borrow();
+        let failed = |log: &&LogFile| manifest.failed.contains_key(&*log.name);
+        Ok(self.logs()?.iter().filter(|log| !failed(log)).cloned().collect())
+    }
+
+    /// Notes whether a log could be ingested, for the stages behind.
+    pub(crate) fn set_failed(&self, log: &str, reason: Option<String>) -> Result<()> {
+        let mut manifest = self.manifest.borrow_mut();
+        let is_dry = matches!(self.mode, Mode::DryRun { .. });
+        if is_dry || manifest.failed.get(log) == reason.as_ref() {
+            return Ok(());
+        }
+        match reason {
+            Some(reason) => {
+                manifest.tasks.remove(&format!("ingest {log}"));
+                manifest.failed.insert(log.to_owned(), reason);
+            }
+            None => {
+                manifest.failed.remove(log);
+            }
+        }
+        manifest.save(&self.folder)
     }
 
     /// Does a task, unless it has been done with the same inputs and options and what it made is
@@ -282,7 +308,7 @@ impl Run {
     }
 
     fn options_of(&self, stage: &str, log: Option<&str>) -> Result<serde_json::Value> {
-        let logs = self.logs()?;
+        let logs = self.ingested_logs()?;
         let names: Vec<&str> = logs.iter().map(|log| &*log.name).collect();
         options_of(&self.config, stage, log, &names)
     }

@@ -5,8 +5,7 @@ use std::io::{Seek, Write};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
 use messages::hdl32e::PACKET_PERIOD_NS;
-use messages::ros::{self, StampedPose3};
-use messages::schemas;
+use messages::{MessageType, StampedPose3, ros, schemas};
 use rayon::prelude::*;
 
 use crate::campus::Campus;
@@ -30,35 +29,17 @@ const ZSTD_LEVEL: u32 = 3;
 /// Messages made at a time, on all threads, while the ones before are written.
 const WINDOW: u64 = 16;
 
-/// How one encoding is named in an MCAP file, and its schemas as (name, text).
+/// How one encoding is named in an MCAP file.
 struct Dialect {
     profile: &'static str,
-    schema_encoding: &'static str,
-    message_encoding: &'static str,
-    wire: ros::Encoding,
-    velodyne_scan: (&'static str, &'static str),
-    pose_stamped: (&'static str, &'static str),
+    wire: messages::Encoding,
 }
 
 impl Dialect {
     fn of(encoding: Encoding) -> Self {
         match encoding {
-            Encoding::Ros2 => Self {
-                profile: "ros2",
-                schema_encoding: "ros2msg",
-                message_encoding: "cdr",
-                wire: ros::Encoding::Cdr,
-                velodyne_scan: (schemas::VELODYNE_SCAN_NAME, schemas::VELODYNE_SCAN),
-                pose_stamped: (schemas::POSE_STAMPED_NAME, schemas::POSE_STAMPED),
-            },
-            Encoding::Ros1 => Self {
-                profile: "ros1",
-                schema_encoding: "ros1msg",
-                message_encoding: "ros1",
-                wire: ros::Encoding::Ros1,
-                velodyne_scan: (schemas::ROS1_VELODYNE_SCAN_NAME, schemas::ROS1_VELODYNE_SCAN),
-                pose_stamped: (schemas::ROS1_POSE_STAMPED_NAME, schemas::ROS1_POSE_STAMPED),
-            },
+            Encoding::Ros2 => Self { profile: "ros2", wire: messages::Encoding::Cdr },
+            Encoding::Ros1 => Self { profile: "ros1", wire: messages::Encoding::Ros1 },
         }
     }
 }
@@ -209,14 +190,15 @@ impl<W: Write + Seek> LogWriter<W> {
             .into(),
         })?;
 
-        let mut channel = |topic, (name, text): (&str, &str)| {
-            let schema = writer.add_schema(name, dialect.schema_encoding, text.as_bytes())?;
+        let mut channel = |topic, message_type| {
+            let schema = schemas::of(message_type, dialect.wire).expect("a ROS type has a schema");
+            let schema = writer.add_schema(schema.name, schema.encoding, schema.text.as_bytes())?;
             let metadata = Default::default();
-            let id = writer.add_channel(schema, topic, dialect.message_encoding, &metadata)?;
+            let id = writer.add_channel(schema, topic, dialect.wire.name(), &metadata)?;
             Ok::<_, SimulateError>(Channel { id, n_messages: 0 })
         };
-        let packets = channel(PACKETS_TOPIC, dialect.velodyne_scan)?;
-        let poses = channel(POSE_TOPIC, dialect.pose_stamped)?;
+        let packets = channel(PACKETS_TOPIC, MessageType::VelodyneScan)?;
+        let poses = channel(POSE_TOPIC, MessageType::PoseStamped)?;
         Ok(Self { writer, packets, poses })
     }
 

@@ -3,7 +3,7 @@
 use std::io::Cursor;
 
 use messages::hdl32e::{self, Packet};
-use messages::ros::{self, StampedPose3, VelodyneScan};
+use messages::{Source, StampedPose3, read_pose, read_velodyne};
 use simulate::{
     Campus, Compression, DriveSummary, Encoding, Lasers, Options, PACKETS_TOPIC, POSE_PERIOD_NS,
     POSE_TOPIC, Point, Segment, SimulateError, write_drive,
@@ -42,16 +42,17 @@ fn read(bytes: &[u8]) -> Log {
     let mut log = Log::default();
     for message in mcap::MessageStream::new(bytes).unwrap() {
         let message = message.unwrap();
-        let encoding = ros::Encoding::from_name(&message.channel.message_encoding).unwrap();
+        let schema = message.channel.schema.as_ref().unwrap();
+        let source = Source::new(&schema.name, &message.channel.message_encoding).unwrap();
         let log_time_ns = message.log_time as i64;
         match message.channel.topic.as_str() {
             PACKETS_TOPIC => {
-                let scan = VelodyneScan::read(encoding, &message.data).unwrap();
+                let scan = read_velodyne(source, &message.data).unwrap();
                 let packets = scan.packets().map(|(ns, bytes)| (ns, bytes.to_vec())).collect();
                 log.scans.push(Scan { log_time_ns, stamp_ns: scan.stamp_ns, packets });
             }
             POSE_TOPIC => {
-                let pose = ros::read_pose_stamped(encoding, &message.data).unwrap();
+                let pose = read_pose(source, &message.data).unwrap();
                 log.poses.push((log_time_ns, pose));
             }
             other => panic!("topic {other}"),

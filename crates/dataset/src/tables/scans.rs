@@ -7,6 +7,7 @@
 //! | `stamp_ns` | i64 | when the first beam fired |
 //! | `x_m`, `y_m` | list of f32 | returns in the lidar frame, in firing order |
 //! | `coverage_deg` | f32 | angle swept by the firings |
+//! | `hole_deg` | f32 | widest stretch of it without a firing, for want of packets |
 //! | `usable` | bool | whether features can be computed ([`Scan::check_usable`]) |
 
 use std::fs::File;
@@ -210,6 +211,7 @@ fn schema() -> SchemaRef {
         Field::new("x_m", DataType::List(list_item()), false),
         Field::new("y_m", DataType::List(list_item()), false),
         Field::new("coverage_deg", DataType::Float32, false),
+        Field::new("hole_deg", DataType::Float32, false),
         Field::new("usable", DataType::Boolean, false),
     ]))
 }
@@ -234,6 +236,7 @@ fn columns(log: &str, first_scan: u32, scans: &[Scan]) -> Vec<ArrayRef> {
         lists(|s| &s.x_m),
         lists(|s| &s.y_m),
         Arc::new(Float32Array::from_iter_values(scans.iter().map(|s| s.coverage_deg))),
+        Arc::new(Float32Array::from_iter_values(scans.iter().map(|s| s.hole_deg))),
         Arc::new(scans.iter().map(|s| Some(s.check_usable().is_ok())).collect::<BooleanArray>()),
     ]
 }
@@ -320,6 +323,7 @@ fn scans_of(path: &Path, batch: &RecordBatch) -> Result<Vec<Scan>> {
     let columns = Columns::new(path, batch);
     let stamps = columns.numbers::<Int64Type>("stamp_ns")?;
     let coverage = columns.numbers::<Float32Type>("coverage_deg")?;
+    let holes = columns.numbers::<Float32Type>("hole_deg")?;
     let lists = |name| -> Result<&ListArray> {
         let column = columns.column(name)?;
         column
@@ -341,7 +345,13 @@ fn scans_of(path: &Path, batch: &RecordBatch) -> Result<Vec<Scan>> {
                     detail: format!("{} x_m but {} y_m", x_m.len(), y_m.len()),
                 });
             }
-            Ok(Scan { stamp_ns: stamps.value(row), x_m, y_m, coverage_deg: coverage.value(row) })
+            Ok(Scan {
+                stamp_ns: stamps.value(row),
+                x_m,
+                y_m,
+                coverage_deg: coverage.value(row),
+                hole_deg: holes.value(row),
+            })
         })
         .collect()
 }

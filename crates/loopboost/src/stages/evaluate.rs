@@ -27,7 +27,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let (rounds, _) = read_rounds(&rounds)?;
     let mut dropped = of_keyframes.dropped;
     let mut facts = Vec::new();
-    for log in run.logs()? {
+    for log in run.ingested_logs()? {
         let (_, of_scans) = read_scan_headers(&run.scans(&log.name))?;
         dropped.merge(of_scans.dropped);
         let digests = of_scans.inputs.into_iter();

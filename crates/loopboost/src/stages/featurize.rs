@@ -9,7 +9,7 @@ use crate::run::{Done, Run, Task};
 
 /// Keyframes -> features.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let scans = run.logs()?.into_iter().map(|log| run.scans(&log.name));
+    let scans = run.ingested_logs()?.into_iter().map(|log| run.scans(&log.name));
     let task = Task {
         stage: "featurize",
         log: None,

@@ -1,32 +1,63 @@
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use dataset::Dropped;
 use dataset::tables::scans::write_scans;
 use dataset::tables::{Provenance, write_poses};
-use ingest::{Log, Options};
+use ingest::{IngestError, Log, Options};
 
-use crate::run::{Done, LogFile, Run, Task, progress_bar};
+use crate::logs::LogFile;
+use crate::run::{Done, Run, Task, progress_bar};
 
 /// Logs -> scans/LOG.parquet, poses/LOG.parquet
+///
+/// A log that cannot be ingested is named and left out, and the others are done, unless the run is
+/// strict or no log is left.
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let mut dropped = Dropped::default();
-    for log in run.logs()? {
-        let task =
-            Task { stage: "ingest", log: Some(log.name.clone()), inputs: vec![log.path.clone()] };
-        dropped.merge(run.task(&task, |provenance| ingest_log(run, &log, provenance))?);
+    let mut failed = Vec::new();
+    let logs = run.logs()?;
+    for log in logs {
+        let task = Task { stage: "ingest", log: Some(log.name.clone()), inputs: log.paths.clone() };
+        match run.task(&task, |provenance| ingest_log(run, log, provenance)) {
+            Ok(of_log) => {
+                run.set_failed(&log.name, None)?;
+                dropped.merge(of_log);
+            }
+            // Whatever else goes wrong, such as a full disk, goes wrong for the next log too.
+            Err(error) if error.is::<IngestError>() && !run.strict => {
+                let reason = format!("{error:#}");
+                run.set_failed(&log.name, Some(reason.clone()))?;
+                failed.push((error, reason));
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    if failed.len() == logs.len() {
+        return Err(match <[_; 1]>::try_from(failed) {
+            Ok([(error, _)]) => error,
+            Err(failed) => anyhow!(
+                "none of the {} logs could be ingested:\n  {}",
+                logs.len(),
+                failed.into_iter().map(|(_, reason)| reason).collect::<Vec<_>>().join("\n  ")
+            ),
+        });
+    }
+    for (_, reason) in failed {
+        dropped.add(format!("log left out of the run: {reason}"), 1);
     }
     Ok(dropped)
 }
 
 fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done> {
     let options = run.config.for_log(&file.name)?;
-    let log = Log::open(&file.path)?;
     let options = Options { lidar: options.lidar, pose: options.pose };
-    let progress = progress_bar(log.bytes().len() as u64, format!("ingest {}", file.name), true);
+    let logs = file.paths.iter().map(|path| Log::open(path)).collect::<Result<Vec<_>, _>>()?;
+    let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
+    let progress = progress_bar(n_bytes as u64, format!("ingest {}", file.name), true);
     let (scans, poses) = (run.scans(&file.name), run.poses(&file.name));
 
     let ingested = write_scans(&scans, &provenance, &file.name, |writer| {
         let ingested = ingest::ingest(
-            &log,
+            &logs.iter().collect::<Vec<_>>(),
             &options,
             |scans| writer.push(scans).map_err(anyhow::Error::from),
             |position| progress.set_position(position),
@@ -37,14 +68,13 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
     progress.finish_and_clear();
     let provenance = Provenance { dropped: ingested.dropped.clone(), ..provenance };
     write_poses(&poses, &provenance, &file.name, &ingested.trajectory)?;
-    let mut said = format!(
-        "{}: {} scans, {} poses",
-        file.name,
-        ingested.n_scans,
-        ingested.trajectory.poses().len()
-    );
-    if ingested.n_partial_turns > 0 {
-        said.push_str(&format!("; {} turns cut by the log's ends", ingested.n_partial_turns));
+    let n_poses = ingested.trajectory.poses().len();
+    let mut said = format!("{}: {} scans, {n_poses} poses", file.name, ingested.n_scans);
+    if let n_files @ 2.. = logs.len() {
+        said.push_str(&format!("; from {n_files} files"));
+    }
+    for note in &ingested.notes {
+        said.push_str(&format!("; {note}"));
     }
     Ok(Done { outputs: vec![scans, poses], dropped: ingested.dropped, said: vec![said] })
 }

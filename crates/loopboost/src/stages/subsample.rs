@@ -6,12 +6,13 @@ use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{Provenance, read_poses, write_keyframes};
 use subsample::Candidate;
 
+use crate::logs::LogFile;
 use crate::options::sites;
-use crate::run::{Done, LogFile, Run, Task};
+use crate::run::{Done, Run, Task};
 
 /// Scans and poses -> keyframes.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let logs = run.logs()?;
+    let logs = run.ingested_logs()?;
     let task = Task {
         stage: "subsample",
         log: None,

@@ -26,7 +26,7 @@ struct Options<'a> {
 /// Pairs and features -> models/, scores.parquet, rounds.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let config = &run.config;
-    let lidars = run.logs()?.into_iter().map(|log| Ok(config.for_log(&log.name)?.lidar));
+    let lidars = run.ingested_logs()?.into_iter().map(|log| Ok(config.for_log(&log.name)?.lidar));
     let options = Options {
         name: &config.name,
         train: &config.train,
@@ -277,7 +277,7 @@ fn scan_spec(options: &Options<'_>, keyframes: &[Keyframe]) -> ScanSpec {
 /// Counts, and the digests of the training tables and, by the scans made of them, of the logs.
 fn training(run: &Run, pairs: &[Pair], provenance: &Provenance) -> Result<Training> {
     let mut digests = provenance.inputs.clone();
-    for log in run.logs()? {
+    for log in run.ingested_logs()? {
         let (_, of_scans) = read_scan_headers(&run.scans(&log.name))?;
         digests.extend(of_scans.inputs);
     }

@@ -1,0 +1,242 @@
+//! A point cloud with a ring field -> the scan of one ring.
+//!
+//! A cloud is what a driver made of a turn: it is taken as it is, one scan a message.
+
+use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
+
+use dataset::{FULL_RING_DEG, RangeLimits, Scan};
+use messages::{Column, MessageError, PointCloud, Source, read_point_cloud};
+
+use crate::options::LidarOptions;
+
+/// A ring is found by elevation where its beam is no farther from it than this \[deg\]: half a step
+/// of an HDL-32E, a little more.
+pub(crate) const MAX_ELEVATION_ERROR_DEG: f64 = 0.7;
+/// Points nearer than this tell no elevation \[m\]: they are of the robot.
+const NEAR_M: f64 = 0.5;
+/// A step back of up to this is jitter of the encoder, or the other return of one firing \[rad\].
+const JITTER_RAD: f64 = 10.0 * PI / 180.0;
+/// Points in firing order pass the circle once; where they seem to pass it more often than this,
+/// they are in no order.
+const MAX_TURNS: f64 = 1.5;
+
+/// The fields of a cloud that are read.
+struct Fields<'a> {
+    x: Column<'a>,
+    y: Column<'a>,
+    z: Column<'a>,
+    ring: Column<'a>,
+    time: Option<Time<'a>>,
+}
+
+/// A field that tells when a point was measured.
+struct Time<'a> {
+    column: Column<'a>,
+    /// Nanoseconds in a count of it.
+    ns: f64,
+    /// Whether it counts from the epoch and not from the header's stamp.
+    absolute: bool,
+}
+
+impl<'a> Fields<'a> {
+    fn of(cloud: &'a PointCloud<'_>) -> messages::Result<Self> {
+        let column = |name: &str| {
+            cloud.column(name).ok_or_else(|| MessageError::Malformed {
+                message: "a point cloud",
+                detail: format!(
+                    "no field `{name}`, of which a scan is made; there are {}",
+                    cloud.fields.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ")
+                ),
+            })
+        };
+        // velodyne_pointcloud: `time`, seconds from the stamp; Ouster: `t`, nanoseconds from the
+        // stamp; Hesai and Robosense: `timestamp`, seconds since the epoch.
+        let time = [("time", 1e9, false), ("t", 1.0, false), ("timestamp", 1e9, true)]
+            .into_iter()
+            .find_map(|(name, ns, absolute)| {
+                Some(Time { column: cloud.column(name)?, ns, absolute })
+            });
+        let (x, y, z) = (column("x")?, column("y")?, column("z")?);
+        Ok(Self { x, y, z, ring: column("ring")?, time })
+    }
+
+    /// A point that is a return: x, y \[m\] and range \[m\].
+    fn point(&self, k: usize) -> Option<[f64; 3]> {
+        let (x, y, z) = (self.x.get(k), self.y.get(k), self.z.get(k));
+        let range = (x * x + y * y + z * z).sqrt();
+        (range.is_finite() && 0.0 < range).then_some([x, y, range])
+    }
+
+    /// When a point was measured \[ns since the epoch\].
+    fn stamp_ns(&self, header_ns: i64, k: usize) -> i64 {
+        let Some(time) = &self.time else { return header_ns };
+        let ns = time.column.get(k) * time.ns;
+        match (ns.is_finite(), time.absolute) {
+            (false, _) => header_ns,
+            (true, true) => ns as i64,
+            (true, false) => header_ns.saturating_add(ns as i64),
+        }
+    }
+}
+
+/// Elevations of the points of each ring, of some clouds.
+#[derive(Debug, Default)]
+pub(crate) struct Rings {
+    elevations_deg: BTreeMap<u32, Vec<f64>>,
+    n_clouds: usize,
+}
+
+/// Clouds that tell the elevations of the rings.
+const CLOUDS: usize = 10;
+
+impl Rings {
+    pub(crate) fn is_enough(&self) -> bool {
+        CLOUDS <= self.n_clouds
+    }
+
+    /// Adds a cloud's points.
+    pub(crate) fn add(&mut self, source: Source, data: &[u8]) -> messages::Result<()> {
+        let cloud = read_point_cloud(source, data)?;
+        let fields = Fields::of(&cloud)?;
+        self.n_clouds += 1;
+        for k in 0..fields.ring.len() {
+            let Some([x, y, range]) = fields.point(k) else { continue };
+            if NEAR_M <= range {
+                let elevation = libm::atan2(fields.z.get(k), (x * x + y * y).sqrt()).to_degrees();
+                self.elevations_deg.entry(fields.ring.get(k) as u32).or_default().push(elevation);
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds the points of other clouds, until there are enough.
+    pub(crate) fn merge(&mut self, other: Self) {
+        if self.is_enough() {
+            return;
+        }
+        self.n_clouds += other.n_clouds;
+        for (ring, elevations) in other.elevations_deg {
+            self.elevations_deg.entry(ring).or_default().extend(elevations);
+        }
+    }
+
+    /// Rings and the elevation of their beams \[deg\], the median of their points'.
+    pub(crate) fn medians(&self) -> Vec<(u32, f64)> {
+        let median = |elevations: &Vec<f64>| {
+            let mut sorted = elevations.clone();
+            sorted.sort_by(f64::total_cmp);
+            sorted[sorted.len() / 2]
+        };
+        self.elevations_deg.iter().map(|(&ring, elevations)| (ring, median(elevations))).collect()
+    }
+
+    /// The ring that the options ask for, none without a cloud; the error says what was asked for and what there is.
+    pub(crate) fn choose(&self, options: &LidarOptions) -> Result<Option<u32>, (String, String)> {
+        if self.n_clouds == 0 {
+            return Ok(None);
+        }
+        let medians = self.medians();
+        let found = || match medians.as_slice() {
+            [] => "no ring, since no point is a return".to_owned(),
+            some => {
+                let list: Vec<_> =
+                    some.iter().map(|(ring, deg)| format!("{ring} at {deg:.2} deg")).collect();
+                format!("the rings {}", list.join(", "))
+            }
+        };
+        if let Some(laser) = options.laser {
+            let asked = format!("laser {laser} (which counts in packets; clouds count in rings)");
+            return Err((asked, found()));
+        }
+        if let Some(ring) = options.ring {
+            let is_there = medians.iter().any(|&(other, _)| other == ring);
+            return is_there.then_some(Some(ring)).ok_or_else(|| (format!("ring {ring}"), found()));
+        }
+        let target = options.elevation_deg.unwrap_or(0.0);
+        medians
+            .iter()
+            .map(|&(ring, deg)| (ring, (deg - target).abs()))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .filter(|&(_, error)| error <= MAX_ELEVATION_ERROR_DEG)
+            .map(|(ring, _)| Some(ring))
+            .ok_or_else(|| (format!("a beam at {target:.2} deg"), found()))
+    }
+}
+
+/// A scan, and whether its points had to be sorted.
+pub(crate) fn scan(
+    source: Source,
+    data: &[u8],
+    ring: u32,
+    options: &LidarOptions,
+) -> messages::Result<(Scan, bool)> {
+    let cloud = read_point_cloud(source, data)?;
+    let fields = Fields::of(&cloud)?;
+    let ring = f64::from(ring);
+    let of_ring: Vec<usize> =
+        (0..fields.ring.len()).filter(|&k| fields.ring.get(k) == ring).collect();
+    // Before any choice by range: what was swept does not depend on it.
+    let mut points: Vec<(f64, [f64; 3])> = of_ring
+        .iter()
+        .filter_map(|&k| fields.point(k))
+        .map(|point| (libm::atan2(point[1], point[0]), point))
+        .collect();
+    let mut swept = sweep_rad(points.iter().map(|(azimuth, _)| *azimuth));
+    let sort = MAX_TURNS * TAU < swept;
+    if sort {
+        // Clockwise from straight ahead, as the sensor turns.
+        points.sort_by(|a, b| (-a.0).rem_euclid(TAU).total_cmp(&(-b.0).rem_euclid(TAU)));
+        swept = sweep_rad(points.iter().map(|(azimuth, _)| *azimuth));
+    } else if swept.to_degrees() < f64::from(FULL_RING_DEG) {
+        // Where the turn was cut this ring had no return; another may have.
+        swept = swept.max(widest_sweep_rad(&fields));
+    }
+    let limits = RangeLimits { min_m: options.range_min_m, max_m: options.range_max_m };
+    let side = if options.upside_down { -1.0 } else { 1.0 };
+    let kept = points.iter().filter(|(_, [_, _, range])| limits.contains(*range));
+    let (x_m, y_m) = kept.map(|(_, [x, y, _])| (*x as f32, (side * y) as f32)).unzip();
+    Ok((
+        Scan {
+            stamp_ns: of_ring
+                .first()
+                .map_or(cloud.stamp_ns, |&k| fields.stamp_ns(cloud.stamp_ns, k)),
+            x_m,
+            y_m,
+            coverage_deg: swept.to_degrees() as f32,
+            hole_deg: 0.0,
+        },
+        sort,
+    ))
+}
+
+/// The widest sweep of any ring.
+fn widest_sweep_rad(fields: &Fields<'_>) -> f64 {
+    let mut azimuths: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
+    for k in 0..fields.ring.len() {
+        if let Some([x, y, _]) = fields.point(k) {
+            azimuths.entry(fields.ring.get(k) as u32).or_default().push(libm::atan2(y, x));
+        }
+    }
+    let sweeps = azimuths.into_values().map(|azimuths| sweep_rad(azimuths.into_iter()));
+    sweeps.filter(|&sweep| sweep <= MAX_TURNS * TAU).fold(0.0, f64::max)
+}
+
+/// Angle from the first azimuth to the last in the direction of turning, gaps included \[rad\].
+fn sweep_rad(azimuths: impl Iterator<Item = f64> + Clone) -> f64 {
+    let steps = azimuths.clone().zip(azimuths.skip(1)).map(|(from, to)| {
+        let step = (to - from).rem_euclid(TAU);
+        if PI < step { step - TAU } else { step }
+    });
+    let n_left = steps.clone().filter(|step| 0.0 < *step).count();
+    let n_right = steps.clone().filter(|step| *step < 0.0).count();
+    let side = if n_right < n_left { 1.0 } else { -1.0 };
+    steps
+        .map(|step| {
+            // A gap of more than half a turn is no step back.
+            let ahead = (side * step).rem_euclid(TAU);
+            if TAU - JITTER_RAD < ahead { ahead - TAU } else { ahead }
+        })
+        .sum::<f64>()
+        .max(0.0)
+}

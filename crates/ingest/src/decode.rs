@@ -1,0 +1,140 @@
+//! One piece of a log -> the packets, scans and poses in it.
+
+use dataset::{Dropped, Scan, StampedPose};
+use messages::{MessageType, Source};
+
+use crate::chunk::{self, Buffer};
+use crate::cloud::{self, Rings};
+use crate::error::IngestError;
+use crate::options::LidarOptions;
+use crate::ring::Packets;
+use crate::sensor::Laser;
+use crate::topic::{Drive, FilePiece, Topic};
+use crate::{planar, poses};
+
+/// What of the lidar makes the scan.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Beam {
+    /// Of packets.
+    pub(crate) laser: Laser,
+    /// Of point clouds.
+    pub(crate) ring: u32,
+}
+
+impl Beam {
+    /// Finds the beam that the options ask for; in clouds by the elevations of their points.
+    pub(crate) fn choose(
+        drive: &Drive<'_>,
+        lidar: &Topic,
+        options: &LidarOptions,
+    ) -> Result<Self, IngestError> {
+        let no_beam = |asked, found| IngestError::NoBeam {
+            path: drive.path(),
+            topic: lidar.name.clone(),
+            asked,
+            found,
+        };
+        let mut beam = Self { laser: Laser::HORIZONTAL, ring: 0 };
+        let is_cloud = |source: &Source| {
+            matches!(
+                source.message_type,
+                MessageType::PointCloud2 | MessageType::FoxglovePointCloud
+            )
+        };
+        let is_packet = |source: &Source| {
+            matches!(source.message_type, MessageType::VelodyneScan | MessageType::VelodynePacket)
+        };
+        if lidar.any(is_packet) {
+            beam.laser = Laser::choose(options).map_err(|(asked, found)| no_beam(asked, found))?;
+        }
+        if lidar.any(is_cloud) {
+            let mut rings = Rings::default();
+            let mut buffer = Buffer::default();
+            for FilePiece { file, log, piece, .. } in drive.pieces_with(&[lidar]) {
+                if rings.is_enough() {
+                    break;
+                }
+                // What cannot be read is counted when the scans are made.
+                chunk::messages(log.bytes(), piece, &mut buffer, |header, data| {
+                    if let Some(source) = lidar.source(file, header.channel_id).filter(is_cloud)
+                        && !rings.is_enough()
+                    {
+                        let _ = rings.add(source, data);
+                    }
+                });
+            }
+            // Without a readable cloud there is no scan either, and the reasons are counted.
+            let chosen = rings.choose(options).map_err(|(asked, found)| no_beam(asked, found))?;
+            beam.ring = chosen.unwrap_or(beam.ring);
+        }
+        Ok(beam)
+    }
+}
+
+/// Reads pieces, several at once.
+pub(crate) struct Reader<'a> {
+    pub(crate) lidar: &'a Topic,
+    pub(crate) pose: Option<&'a Topic>,
+    pub(crate) beam: Beam,
+    pub(crate) options: &'a LidarOptions,
+}
+
+/// What one piece of the log holds.
+#[derive(Default)]
+pub(crate) struct Decoded {
+    pub(crate) packets: Packets,
+    pub(crate) scans: Vec<Scan>,
+    pub(crate) n_sorted_clouds: u64,
+    pub(crate) poses: Vec<StampedPose>,
+    pub(crate) dropped: Dropped,
+}
+
+impl Reader<'_> {
+    pub(crate) fn decode(&self, from: &FilePiece<'_>, buffer: &mut Buffer) -> Decoded {
+        let FilePiece { file, log, piece, .. } = *from;
+        let mut decoded = Decoded::default();
+        let lost = chunk::messages(log.bytes(), piece, buffer, |header, data| {
+            let channel = header.channel_id;
+            if let Some(source) = self.lidar.source(file, channel)
+                && let Err(error) = self.decode_lidar(source, data, &mut decoded)
+            {
+                let (topic, kind) = (&self.lidar.name, source.message_type.name());
+                let reason =
+                    format!("messages of {topic} that do not decode as {kind} ({})", error.kind());
+                decoded.dropped.add(reason, 1);
+            }
+            if let Some((topic, source)) =
+                self.pose.and_then(|t| Some((t, t.source(file, channel)?)))
+            {
+                match poses::stamped_pose(source, data) {
+                    Ok(stamped) => decoded.poses.push(stamped),
+                    Err(reason) => {
+                        decoded.dropped.add(format!("messages of {} {reason}", topic.name), 1);
+                    }
+                }
+            }
+        });
+        decoded.dropped.merge(lost);
+        decoded
+    }
+
+    fn decode_lidar(
+        &self,
+        source: Source,
+        data: &[u8],
+        decoded: &mut Decoded,
+    ) -> messages::Result<()> {
+        match source.message_type {
+            MessageType::VelodyneScan | MessageType::VelodynePacket => {
+                decoded.packets.add(source, data, self.beam.laser.index)?;
+            }
+            MessageType::PointCloud2 | MessageType::FoxglovePointCloud => {
+                let (scan, sorted) = cloud::scan(source, data, self.beam.ring, self.options)?;
+                decoded.scans.push(scan);
+                decoded.n_sorted_clouds += u64::from(sorted);
+            }
+            _ => decoded.scans.push(planar::scan(source, data, self.options)?),
+        }
+        Ok(())
+    }
+}

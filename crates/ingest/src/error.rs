@@ -1,0 +1,126 @@
+//! Why a log gives nothing.
+
+use std::path::PathBuf;
+
+/// Why a log gives nothing.
+#[derive(Debug, thiserror::Error)]
+pub enum IngestError {
+    /// The system refused to open or map the file.
+    #[error("cannot read {path}")]
+    Open {
+        /// The log.
+        path: PathBuf,
+        /// The system's word.
+        source: std::io::Error,
+    },
+    /// The file does not start as an MCAP file does.
+    #[error(
+        "{path} is no MCAP log: it starts with {found}, expected the magic bytes 89 4d 43 41 50 30 0d 0a; convert the recording to MCAP (`ros2 bag convert`, `mcap convert`)"
+    )]
+    NotMcap {
+        /// The file.
+        path: PathBuf,
+        /// Its first bytes, hex.
+        found: String,
+    },
+    /// No channel has the topic.
+    #[error("{path} has no topic `{topic}`; set `{key}` to one of: {topics}")]
+    NoTopic {
+        /// The log.
+        path: PathBuf,
+        /// The topic asked for.
+        topic: String,
+        /// The option that names it.
+        key: &'static str,
+        /// Topics of the log that would do, or else all of them, with their types.
+        topics: String,
+    },
+    /// The topic holds messages that the option cannot use.
+    #[error(
+        "{path}: topic `{topic}` holds `{found}`, expected {expected}; set `{key}` to a topic of such a type: {topics}"
+    )]
+    WrongType {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The option that names it.
+        key: &'static str,
+        /// Schema and encoding found.
+        found: String,
+        /// The types that would do.
+        expected: String,
+        /// Topics of the log that would do.
+        topics: String,
+    },
+    /// The pose topic is there but empty, or no message of it could be read.
+    #[error(
+        "{path}: topic `{topic}` holds no usable pose{detail}; set `ingest.pose.topic` to a topic that has poses"
+    )]
+    NoPoses {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// What was dropped, or nothing.
+        detail: String,
+    },
+    /// Not one scan came out.
+    #[error(
+        "{path}: topic `{topic}` gives no scan{detail}; set `ingest.lidar.topic` to another topic, or take the log out of `ingest.logs`"
+    )]
+    NoScans {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// What was dropped, or nothing.
+        detail: String,
+    },
+    /// The packets are of another sensor.
+    #[error(
+        "{path}: topic `{topic}` holds packets of a Velodyne {found} ({evidence}), expected a Velodyne HDL-32E, the only model that can be ingested from packets; name a topic with its point clouds or a planar scan, or take the log out of `ingest.logs`"
+    )]
+    OtherSensor {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The sensor, by name.
+        found: &'static str,
+        /// What tells so.
+        evidence: String,
+    },
+    /// The sensor has no such beam.
+    #[error(
+        "{path}: topic `{topic}` has {found}, asked for was {asked}; set one of `ingest.lidar.ring`, `ingest.lidar.elevation_deg` and (packets only) `ingest.lidar.laser` to a beam there is"
+    )]
+    NoBeam {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// What the options ask for.
+        asked: String,
+        /// The beams there are.
+        found: String,
+    },
+    /// The laser that should make the scan returns nothing in the whole log.
+    #[error(
+        "{path}: laser {laser} (firing order; {elevation_deg:.2} deg) of topic `{topic}` has no return in any of {n_firings} firings: it is dead or masked; set `ingest.lidar.laser` to another (with returns: {alive})"
+    )]
+    DeadLaser {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The laser, in firing order.
+        laser: usize,
+        /// Its elevation \[deg\].
+        elevation_deg: f64,
+        /// How often it fired.
+        n_firings: u64,
+        /// Lasers that have returns.
+        alive: String,
+    },
+}

@@ -1,0 +1,219 @@
+//! What the pieces of a log hold -> scans and poses, in the order of the file.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use dataset::{Dropped, Scan, StampedPose, Trajectory};
+use messages::hdl32e::LASERS;
+use rayon::prelude::*;
+
+use crate::Ingested;
+use crate::decode::Decoded;
+use crate::error::IngestError;
+use crate::options::LidarOptions;
+use crate::order::Sequencer;
+use crate::ring::RingPacket;
+use crate::sensor::{self, Laser, OtherSensor};
+use crate::topic::Topic;
+use crate::turn::{ScanMaker, Turn};
+use crate::turns::{Ends, MARKED_HOLE_DEG, TurnCutter};
+
+/// Packets looked at to tell the sensor model.
+const PACKETS_TO_IDENTIFY: usize = 200;
+/// Packets of another layout that are no accident, where there are none of the right one.
+const FOREIGN_PACKETS: u64 = 3;
+
+/// Puts together what the pieces hold.
+pub(crate) struct Joiner {
+    laser: Laser,
+    sequencer: Sequencer,
+    cutter: TurnCutter,
+    maker: ScanMaker,
+    first_packets: Vec<RingPacket>,
+    foreign: BTreeMap<&'static str, u64>,
+    poses: Vec<StampedPose>,
+    dropped: Dropped,
+    n_scans: usize,
+    n_sorted_clouds: u64,
+    /// Scans with a hole of more than [`MARKED_HOLE_DEG`].
+    n_marked: usize,
+    n_firings: u64,
+    n_returns: u64,
+    lasers_with_returns: u32,
+}
+
+impl Joiner {
+    /// What has been dropped so far is given.
+    pub(crate) fn new(options: &LidarOptions, laser: Laser, dropped: Dropped) -> Self {
+        Self {
+            laser,
+            sequencer: Sequencer::default(),
+            cutter: TurnCutter::new(options, laser),
+            maker: ScanMaker::new(options, laser),
+            first_packets: Vec::new(),
+            foreign: BTreeMap::new(),
+            poses: Vec::new(),
+            dropped,
+            n_scans: 0,
+            n_sorted_clouds: 0,
+            n_marked: 0,
+            n_firings: 0,
+            n_returns: 0,
+            lasers_with_returns: 0,
+        }
+    }
+
+    /// Adds what some pieces hold; their scans go to `take`.
+    pub(crate) fn join<E>(
+        &mut self,
+        decoded: Vec<Decoded>,
+        take: &mut impl FnMut(Vec<Scan>) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut turns = Vec::new();
+        let mut scans = Vec::new();
+        for piece in decoded {
+            for packet in &piece.packets.packets {
+                if self.first_packets.len() < PACKETS_TO_IDENTIFY {
+                    self.first_packets.push(*packet);
+                }
+                self.sequencer.push(packet, |packet| self.cutter.push(packet, &mut turns));
+            }
+            for (model, n) in piece.packets.foreign {
+                *self.foreign.entry(model).or_default() += n;
+            }
+            self.lasers_with_returns |= piece.packets.lasers_with_returns;
+            self.n_sorted_clouds += piece.n_sorted_clouds;
+            scans.extend(piece.scans);
+            self.poses.extend(piece.poses);
+            self.dropped.merge(piece.packets.dropped);
+            self.dropped.merge(piece.dropped);
+        }
+        self.scan(&turns, &mut scans);
+        take(scans)
+    }
+
+    /// Turns -> scans, behind those there are.
+    fn scan(&mut self, turns: &[Turn], scans: &mut Vec<Scan>) {
+        scans.par_extend(turns.par_iter().map(|turn| self.maker.scan(turn)));
+        self.n_scans += scans.len();
+        self.n_marked += scans.iter().filter(|scan| MARKED_HOLE_DEG < scan.hole_deg).count();
+        for turn in turns {
+            self.n_firings += turn.firings.len() as u64;
+            self.n_returns += turn.firings.iter().filter(|f| f.distance != 0).count() as u64;
+        }
+    }
+
+    /// The sensor that the packets are of, where it is no HDL-32E.
+    pub(crate) fn other_sensor(&self) -> Option<OtherSensor> {
+        match self.foreign.iter().max_by_key(|(_, n)| **n) {
+            Some((&name, &n)) if self.first_packets.is_empty() && FOREIGN_PACKETS <= n => {
+                Some(OtherSensor { name, evidence: "by the flags of its blocks".to_owned() })
+            }
+            _ => sensor::other_sensor(&self.first_packets),
+        }
+    }
+
+    /// Ends the last turn and sums up. `path` stands for the drive in errors.
+    pub(crate) fn finish<E: From<IngestError>>(
+        mut self,
+        path: &Path,
+        lidar: Topic,
+        pose: Option<Topic>,
+        mut take: impl FnMut(Vec<Scan>) -> Result<(), E>,
+    ) -> Result<Ingested, E> {
+        let mut turns = Vec::new();
+        self.sequencer.flush(&mut |packet| self.cutter.push(packet, &mut turns));
+        let ends = self.cutter.finish(&mut turns);
+        let mut scans = Vec::new();
+        self.scan(&turns, &mut scans);
+        take(scans)?;
+        self.dropped.merge(ends.dropped.clone());
+        self.dropped.merge(std::mem::take(&mut self.sequencer.dropped));
+
+        let mut notes = lidar.notes.clone();
+        notes.extend(pose.iter().flat_map(|pose| pose.notes.clone()));
+        notes.extend(self.notes(&ends));
+        self.check_scans(path, lidar.name, &ends)?;
+        let (trajectory, n_duplicates) = Trajectory::new(self.poses);
+        self.dropped.add("poses with the stamp of another pose", n_duplicates as u64);
+        if let (Some(pose), true) = (pose, trajectory.poses().is_empty()) {
+            let (path, detail) = (path.to_owned(), in_parentheses(&self.dropped));
+            return Err(IngestError::NoPoses { path, topic: pose.name, detail }.into());
+        }
+        Ok(Ingested {
+            trajectory,
+            n_scans: self.n_scans,
+            n_partial_turns: ends.n_partial,
+            dropped: self.dropped,
+            notes,
+        })
+    }
+
+    /// Refuses a log that gives no scan, or none with a return.
+    fn check_scans(&self, path: &Path, topic: String, ends: &Ends) -> Result<(), IngestError> {
+        let path = path.to_owned();
+        if self.n_scans == 0 {
+            let detail = match self.dropped.is_empty() && ends.n_partial > 0 {
+                true => {
+                    ": its packets span less than one turn between two cuts at azimuth 0".to_owned()
+                }
+                false => in_parentheses(&self.dropped),
+            };
+            return Err(IngestError::NoScans { path, topic, detail });
+        }
+        if self.n_firings > 0 && self.n_returns == 0 {
+            return Err(IngestError::DeadLaser {
+                path,
+                topic,
+                laser: self.laser.index,
+                elevation_deg: self.laser.elevation_deg,
+                n_firings: self.n_firings,
+                alive: match sensor::lasers(self.lasers_with_returns) {
+                    none if none.is_empty() => "none".to_owned(),
+                    some => some,
+                },
+            });
+        }
+        Ok(())
+    }
+
+    fn notes(&self, ends: &Ends) -> Vec<String> {
+        let mut notes = Vec::new();
+        if ends.n_partial > 0 {
+            notes.push(format!("{} turns cut by the log's ends", ends.n_partial));
+        }
+        if ends.n_missing_packets > 0 {
+            notes.push(format!(
+                "{} packets missing; {} scans have a hole of more than {MARKED_HOLE_DEG} deg (hole_deg)",
+                ends.n_missing_packets, self.n_marked
+            ));
+        }
+        if self.sequencer.n_late > 0 {
+            notes
+                .push(format!("{} packets came late and were put in order", self.sequencer.n_late));
+        }
+        if self.n_sorted_clouds > 0 {
+            notes.push(format!(
+                "{} clouds have their points in no firing order; they were sorted by azimuth",
+                self.n_sorted_clouds
+            ));
+        }
+        let dead = !self.lasers_with_returns;
+        if self.n_firings > 0 && dead != 0 {
+            let n = LASERS - dead.count_ones() as usize;
+            notes.push(format!(
+                "{n} of {LASERS} lasers have returns; none from {}",
+                sensor::lasers(dead)
+            ));
+        }
+        notes
+    }
+}
+
+/// What was dropped, for the end of an error.
+fn in_parentheses(dropped: &Dropped) -> String {
+    match dropped.is_empty() {
+        true => String::new(),
+        false => format!(" (dropped: {dropped})"),
+    }
+}

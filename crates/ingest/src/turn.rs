@@ -1,0 +1,185 @@
+//! The firings of one turn -> a scan.
+
+use std::f64::consts::TAU;
+
+use dataset::{RangeLimits, Scan};
+use messages::hdl32e::{AZIMUTH_COUNTS, METRES_PER_COUNT, PERIODS_PER_BLOCK};
+
+use crate::options::LidarOptions;
+use crate::sensor::Laser;
+
+/// Azimuth is counted in 1/40 of 0.01 deg, in which the azimuth of every laser of a block is a
+/// whole number: laser `k` fires `k / 40` of a block period after the block's azimuth was read.
+pub(crate) const FINE_PER_COUNT: u32 = PERIODS_PER_BLOCK as u32;
+/// Fine counts in a turn.
+pub(crate) const FINE_TURN: u32 = AZIMUTH_COUNTS as u32 * FINE_PER_COUNT;
+
+/// One firing of the laser.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Firing {
+    /// \[1/40 of 0.01 deg, clockwise\], below a full turn.
+    pub(crate) fine_azimuth: u32,
+    /// \[2 mm\], 0 for no return.
+    pub(crate) distance: u16,
+}
+
+/// The firings between two passes of azimuth 0.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Turn {
+    /// When the first firing of the laser happened \[ns\].
+    pub(crate) stamp_ns: i64,
+    pub(crate) firings: Vec<Firing>,
+    /// Sum of the steps from each firing to where the next is due \[0.01 deg\].
+    pub(crate) swept: u64,
+    /// Azimuth passed without a packet \[0.01 deg\], up to the next firing there is.
+    pub(crate) missed: u64,
+    /// The widest stretch of that \[0.01 deg\].
+    pub(crate) widest_hole: u64,
+    /// The step of the last firing.
+    pub(crate) last_step: u32,
+    /// Whether the turn's start was seen: the firing before it lies in another turn, or is due
+    /// before azimuth 0.
+    pub(crate) starts_at_cut: bool,
+}
+
+impl Turn {
+    /// Passes over azimuth for which there is no packet \[0.01 deg\].
+    pub(crate) fn miss(&mut self, azimuth: u64) {
+        self.missed += azimuth;
+        self.widest_hole = self.widest_hole.max(azimuth);
+    }
+
+    /// Share of the circle for which there is no packet. A firing or two at the cut are no hole.
+    pub(crate) fn missing_share(&self) -> f64 {
+        let slack = 2 * u64::from(self.last_step).min(100);
+        let missing = u64::from(AZIMUTH_COUNTS).saturating_sub(self.swept + slack);
+        missing as f64 / f64::from(AZIMUTH_COUNTS)
+    }
+
+    /// Angle from the first firing to the last \[deg\], what was missed between included: a turn of
+    /// which packets are missing is a full circle all the same.
+    fn coverage_deg(&self) -> f32 {
+        (self.swept + self.missed).saturating_sub(u64::from(self.last_step)) as f32 / 100.0
+    }
+}
+
+/// Turns -> scans.
+pub(crate) struct ScanMaker {
+    limits: RangeLimits,
+    /// Sign of y for an azimuth that is clockwise from above.
+    side: f64,
+    /// Cosine of the beam's elevation: a range's share in the plane.
+    horizontal: f64,
+    /// Cosine and sine of each whole count of azimuth.
+    directions: Vec<[f64; 2]>,
+}
+
+impl ScanMaker {
+    pub(crate) fn new(options: &LidarOptions, laser: Laser) -> Self {
+        let directions = (0..AZIMUTH_COUNTS)
+            .map(|count| {
+                let (sin, cos) = libm::sincos(f64::from(count) * TAU / f64::from(AZIMUTH_COUNTS));
+                [cos, sin]
+            })
+            .collect();
+        Self {
+            limits: RangeLimits { min_m: options.range_min_m, max_m: options.range_max_m },
+            side: if options.upside_down { 1.0 } else { -1.0 },
+            horizontal: match laser.elevation_deg {
+                0.0 => 1.0,
+                deg => libm::cos(deg.to_radians()),
+            },
+            directions,
+        }
+    }
+
+    /// x forward, y left (REP 103); azimuth 0 is forward and azimuth grows clockwise:
+    /// x = r cos e cos a, y = -r cos e sin a, with e the beam's elevation. Upside down, rolled about
+    /// x, azimuth grows counter-clockwise. The range limits hold for r.
+    pub(crate) fn scan(&self, turn: &Turn) -> Scan {
+        let n_returns = turn.firings.iter().filter(|firing| firing.distance != 0).count();
+        let mut scan = Scan {
+            stamp_ns: turn.stamp_ns,
+            x_m: Vec::with_capacity(n_returns),
+            y_m: Vec::with_capacity(n_returns),
+            coverage_deg: turn.coverage_deg(),
+            hole_deg: turn.widest_hole as f32 / 100.0,
+        };
+        for firing in &turn.firings {
+            let range_m = f64::from(firing.distance) * METRES_PER_COUNT;
+            if firing.distance != 0 && self.limits.contains(range_m) {
+                let [cos, sin] = self.direction(firing.fine_azimuth);
+                let planar_m = range_m * self.horizontal;
+                scan.x_m.push((planar_m * cos) as f32);
+                scan.y_m.push((self.side * planar_m * sin) as f32);
+            }
+        }
+        scan
+    }
+
+    /// Cosine and sine of an azimuth: those of the whole count, turned on by the rest d, which is
+    /// less than 1.8e-4 rad, so that cos d = 1 - d^2/2 and sin d = d - d^3/6 are exact in f64.
+    #[inline]
+    fn direction(&self, fine_azimuth: u32) -> [f64; 2] {
+        let [cos, sin] = self.directions[(fine_azimuth / FINE_PER_COUNT) as usize];
+        let d = f64::from(fine_azimuth % FINE_PER_COUNT) * (TAU / f64::from(FINE_TURN));
+        let (cos_d, sin_d) = (1.0 - 0.5 * d * d, d - d * d * d / 6.0);
+        [cos * cos_d - sin * sin_d, sin * cos_d + cos * sin_d]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn maker(options: &LidarOptions) -> ScanMaker {
+        ScanMaker::new(options, Laser::HORIZONTAL)
+    }
+
+    /// 5 m at azimuth 90 deg, clockwise: to the right, y = -5; upside down to the left.
+    #[test]
+    fn azimuth_is_clockwise_and_mirrored_upside_down() {
+        let firing = |deg: u32, distance| Firing { fine_azimuth: deg * 4000, distance };
+        let turn = Turn {
+            firings: vec![
+                firing(0, 2500),
+                firing(90, 2500),
+                firing(91, 0),
+                firing(180, 449),
+                firing(181, 450),
+            ],
+            ..Turn::default()
+        };
+        for (upside_down, y) in [(false, -5.0), (true, 5.0)] {
+            let scan = maker(&LidarOptions { upside_down, ..LidarOptions::default() }).scan(&turn);
+            assert_eq!(scan.len(), 3, "no return and 0.898 m are left out, 0.9 m is kept");
+            assert_eq!((scan.x_m[0], scan.y_m[0].abs()), (5.0, 0.0));
+            assert!(scan.x_m[1].abs() < 1e-6 && (scan.y_m[1] - y).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn directions_are_exact_between_the_counts() {
+        let maker = maker(&LidarOptions::default());
+        for fine in (0..FINE_TURN).step_by(997) {
+            let angle = f64::from(fine) * TAU / f64::from(FINE_TURN);
+            let [cos, sin] = maker.direction(fine);
+            // The angle itself is rounded to 9e-16.
+            assert!((cos - angle.cos()).abs() < 2e-15 && (sin - angle.sin()).abs() < 2e-15);
+        }
+    }
+
+    /// Laser 1 looks down by 28/3 deg: of 10 m, cos(28/3 deg) = 0.986762 lie in the plane.
+    #[test]
+    fn a_slanted_beam_is_laid_into_the_plane_and_limited_by_its_range() {
+        let options = LidarOptions { range_max_m: 10.0, ..LidarOptions::default() };
+        let firings = vec![
+            Firing { fine_azimuth: 0, distance: 5000 },
+            Firing { fine_azimuth: 90 * 4000, distance: 5001 },
+        ];
+        let turn = Turn { firings, ..Turn::default() };
+        let scan = ScanMaker::new(&options, Laser::new(1)).scan(&turn);
+        assert_eq!(scan.len(), 1, "10.002 m is beyond, whatever its share in the plane");
+        assert!((scan.x_m[0] - 9.867_62).abs() < 1e-5);
+    }
+}

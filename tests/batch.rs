@@ -1,0 +1,138 @@
+//! Many logs at once: the bad ones are named, the good ones are done; the files of a drive that was
+//! split are joined.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Cursor;
+use std::path::Path;
+
+use dataset::tables::scans::read_scan_headers;
+
+use crate::support::Workplace;
+
+const SIMULATED: &str = r#"
+seed = 7
+[simulate]
+logs = ["one", "two"]
+length_m = 40.0
+people = 0
+"#;
+
+const BATCH: &str = r#"
+[ingest]
+logs = ["logs"]
+site = "building"
+pose.topic = "/ground_truth"
+"#;
+
+/// A folder with the simulated logs `one` and `two` in `out/logs`.
+fn simulated() -> Workplace {
+    let workplace = Workplace::new(SIMULATED);
+    workplace.command("simulate", "out", &[]).expect(0);
+    workplace
+}
+
+fn use_pipeline(workplace: &Workplace, pipeline: &str) {
+    fs::write(workplace.path("drive.toml"), pipeline).unwrap();
+}
+
+#[test]
+fn one_bad_log_is_named_and_the_others_are_done() {
+    let workplace = simulated();
+    fs::create_dir(workplace.path("logs")).unwrap();
+    for log in ["one", "two"] {
+        let name = format!("logs/{log}.mcap");
+        fs::copy(workplace.path(&format!("out/{name}")), workplace.path(&name)).unwrap();
+    }
+    fs::write(workplace.path("logs/bag.mcap"), "#ROSBAG V2.0").unwrap();
+    use_pipeline(&workplace, BATCH);
+    workplace
+        .command("ingest", "batch", &["--strict"])
+        .expect(1)
+        .says(&["bag.mcap is no MCAP log"]);
+    let finished = workplace.command("ingest", "batch", &[]).expect(3);
+    let finished = finished.says(&["1 log left out of the run:", "bag.mcap is no MCAP log"]);
+    assert!(finished.stdout.contains("one: "), "{}", finished.stdout);
+    let names: Vec<String> = workplace.files("batch").into_keys().collect();
+    for log in ["one", "two"] {
+        assert!(names.contains(&format!("scans/{log}.parquet")), "{names:?}");
+    }
+    // The stages behind know that it is not there, in the same run and in a later one.
+    workplace.command("subsample", "batch", &[]).expect(0);
+    workplace.command("ingest", "batch", &[]).expect(3);
+    // Once the log is put right it takes part.
+    fs::copy(workplace.path("logs/one.mcap"), workplace.path("logs/bag.mcap")).unwrap();
+    workplace.command("ingest", "batch", &[]).expect(0);
+    workplace.command("subsample", "batch", &[]).expect(0);
+    // Where every log is bad there is nothing to go on with.
+    for log in ["one", "two", "bag"] {
+        fs::write(workplace.path(&format!("logs/{log}.mcap")), "").unwrap();
+    }
+    workplace.command("ingest", "batch", &[]).expect(1).says(&[
+        "none of the 3 logs could be ingested",
+        "one.mcap is no MCAP log",
+        "two.mcap is no MCAP log",
+    ]);
+}
+
+/// Writes the messages of a log into `n` files, one after the other.
+fn split(log: &Path, n: usize) -> Vec<Vec<u8>> {
+    let bytes = fs::read(log).unwrap();
+    let messages: Vec<_> =
+        mcap::MessageStream::new(&bytes).unwrap().collect::<Result<_, _>>().unwrap();
+    messages
+        .chunks(messages.len().div_ceil(n))
+        .map(|part| {
+            let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
+            part.iter().for_each(|message| writer.write(message).unwrap());
+            writer.finish().unwrap();
+            writer.into_inner().into_inner()
+        })
+        .collect()
+}
+
+#[test]
+fn the_files_of_a_split_drive_are_one_log() {
+    let workplace = simulated();
+    let whole = workplace.path("out/logs/one.mcap");
+    fs::create_dir_all(workplace.path("logs/monday")).unwrap();
+    // By name they are out of order: time decides.
+    for (name, part) in ["c", "a", "b"].into_iter().zip(split(&whole, 3)) {
+        fs::write(workplace.path(&format!("logs/monday/{name}.mcap")), part).unwrap();
+    }
+    // Another drive beside it.
+    fs::create_dir(workplace.path("logs/tuesday")).unwrap();
+    fs::copy(workplace.path("out/logs/two.mcap"), workplace.path("logs/tuesday/two.mcap")).unwrap();
+    use_pipeline(&workplace, BATCH);
+    let finished = workplace.command("ingest", "joined", &[]).expect(0);
+    assert!(finished.stdout.contains("monday: "), "{}", finished.stdout);
+    assert!(finished.stdout.contains("from 3 files"), "{}", finished.stdout);
+
+    use_pipeline(&workplace, &BATCH.replace("[\"logs\"]", "[\"out/logs/one.mcap\"]"));
+    workplace.command("ingest", "whole", &[]).expect(0);
+    let scans = |out: &str, log: &str| {
+        read_scan_headers(&workplace.path(&format!("{out}/scans/{log}.parquet"))).unwrap().0
+    };
+    assert!(scans("joined", "monday").len() > 100);
+    assert_eq!(scans("joined", "monday"), scans("whole", "one"));
+    let names: BTreeMap<_, _> = workplace.files("joined");
+    assert!(names.contains_key("scans/two.parquet"));
+}
+
+/// Two drives in one folder, neither of which goes on where the other ends, stay two logs; a
+/// `metadata.yaml` of rosbag2 makes its folder one drive.
+#[test]
+fn drives_of_one_folder_are_told_apart() {
+    let workplace = simulated();
+    use_pipeline(&workplace, &BATCH.replace("\"logs\"", "\"out/logs\""));
+    let finished = workplace.command("ingest", "apart", &[]).expect(0);
+    assert!(finished.stdout.contains("one: ") && finished.stdout.contains("two: "));
+    fs::create_dir(workplace.path("bag")).unwrap();
+    fs::write(workplace.path("bag/metadata.yaml"), "rosbag2_bagfile_information:\n").unwrap();
+    for (k, part) in split(&workplace.path("out/logs/one.mcap"), 2).into_iter().enumerate() {
+        fs::write(workplace.path(&format!("bag/bag_{k}.mcap")), part).unwrap();
+    }
+    use_pipeline(&workplace, &BATCH.replace("\"logs\"", "\"bag\""));
+    let finished = workplace.command("ingest", "bagged", &[]).expect(0);
+    assert!(finished.stdout.contains("bag: ") && finished.stdout.contains("from 2 files"));
+}
