@@ -58,7 +58,6 @@ pub(crate) struct Log {
     /// Whether the poses of its `FLASER` lines differ anywhere.
     is_corrected: bool,
     ready: VecDeque<Record>,
-    latest_ns: i64,
 }
 
 impl Log {
@@ -78,7 +77,7 @@ impl Log {
             }
         }
         let lines = Lines::open(path, meter)?;
-        Ok(Self { lines, has_odom, is_corrected, ready: VecDeque::new(), latest_ns: i64::MIN })
+        Ok(Self { lines, has_odom, is_corrected, ready: VecDeque::new() })
     }
 
     fn take_in(&mut self, Message { stamp_ns, what }: Message) {
@@ -110,13 +109,7 @@ impl Source for Log {
         while self.ready.is_empty() {
             let Some(line) = self.lines.next()? else { break };
             match message(&line.text) {
-                Ok(message) if representable(message.stamp_ns) => {
-                    if message.stamp_ns < self.latest_ns {
-                        losses.remarks.add("lines whose time steps back", 1);
-                    }
-                    self.latest_ns = self.latest_ns.max(message.stamp_ns);
-                    self.take_in(message);
-                }
+                Ok(message) if representable(message.stamp_ns) => self.take_in(message),
                 Ok(_) => losses.dropped.add("lines before 1970 or after 2037", 1),
                 Err(Unused::Empty) => {}
                 Err(Unused::Other(keyword)) => {

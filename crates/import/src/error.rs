@@ -76,7 +76,7 @@ pub enum ImportError {
         expected: &'static str,
     },
     /// The log cannot be written.
-    #[error("cannot write the log: {0}")]
+    #[error("cannot write the log")]
     Write(#[from] mcap::McapError),
 }
 

@@ -12,7 +12,19 @@
 //! was found, where, and what was expected. The same recording gives the same bytes.
 //!
 //! The axes of all that is written are those of REP 103: x forward, y left, z up; maps have x east,
-//! y north.
+//! y north where the recording knows it.
+//!
+//! ```no_run
+//! use std::{fs::File, io::BufWriter, path::PathBuf};
+//!
+//! let inputs = [PathBuf::from("drive.pcap")];
+//! let out = BufWriter::new(File::create("drive.mcap").unwrap());
+//! let imported = import::import(&inputs, &import::Options::default(), out, |_bytes| {}).unwrap();
+//! for topic in &imported.topics {
+//!     println!("{}: {} messages", topic.topic, topic.n_messages);
+//! }
+//! println!("not used: {}", imported.dropped);
+//! ```
 
 mod carmen;
 mod encode;

@@ -125,8 +125,7 @@ fn a_time_that_steps_back_is_kept_in_the_message() {
     assert_eq!(read_laser_scan(last.source, &last.bytes).unwrap().stamp_ns, T0_NS);
     assert_eq!(
         log.remarks(),
-        "1 lines whose time steps back, \
-         2 messages whose time steps back (logged at the time of the one before)"
+        "2 messages whose time steps back (logged at the time of the one before)"
     );
 }
 

@@ -81,9 +81,9 @@ fn hits_become_turns_cut_ahead() {
     let (x, y, z) = (column("x"), column("y"), column("z"));
     for firing in 0..180 {
         let azimuth = (1.0 + 2.0 * f64::from(firing)).to_radians();
-        for laser in 0..32 {
+        for (laser, elevation_deg) in ELEVATION_DEG.iter().enumerate() {
             let at = firing as usize * 32 + laser;
-            let elevation = -ELEVATION_DEG[laser].to_radians();
+            let elevation = -elevation_deg.to_radians();
             let level = 10.0 * elevation.cos();
             // Half a count of 5 mm, and a little.
             assert!((x.get(at) - level * azimuth.cos()).abs() < 0.003);

@@ -19,6 +19,9 @@
 //! The data set's body frame has x forward, y right, z down, and its map x north, y east, z down.
 //! Here bodies have x forward, y left, z up, and the map x east, y north, z up; the odometry's
 //! frame, whose origin is arbitrary, turns with the body's.
+//!
+//! Left alone: images, `velodyne_sync/` (the same hits, moved to the images' times), the Hokuyo
+//! scanners, and the covariances.
 
 pub(crate) mod hits;
 mod rings;

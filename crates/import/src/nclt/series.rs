@@ -247,9 +247,9 @@ impl Source for Kvh {
 mod tests {
     use super::*;
 
-    fn pose(made: Made) -> Pose {
+    fn pose(made: &Made) -> Pose {
         match made {
-            Made::Body(Body::Pose(pose) | Body::Odometry(pose, _)) => pose,
+            Made::Body(Body::Pose(pose) | Body::Odometry(pose, _)) => *pose,
             _ => panic!(),
         }
     }
@@ -259,7 +259,7 @@ mod tests {
     #[test]
     fn ground_truth_is_turned_to_east_north_up() {
         let facing_east = std::f64::consts::FRAC_PI_2;
-        let pose = pose(ground_truth_of([3.0, 2.0, -1.0, 0.0, 0.0, facing_east]));
+        let pose = pose(&ground_truth_of([3.0, 2.0, -1.0, 0.0, 0.0, facing_east]));
         assert_eq!(pose.position, [2.0, 3.0, 1.0]);
         let [x, y, z, w] = pose.orientation;
         assert!(x.abs() < 1e-12 && y.abs() < 1e-12 && z.abs() < 1e-12, "{:?}", pose.orientation);
@@ -269,7 +269,7 @@ mod tests {
     /// A drive ahead and to the right, facing right.
     #[test]
     fn odometry_to_the_right_is_to_the_negative_left() {
-        let pose = pose(odometry_of([5.0, 2.0, 0.0, 0.0, 0.0, 0.2]));
+        let pose = pose(&odometry_of([5.0, 2.0, 0.0, 0.0, 0.0, 0.2]));
         assert_eq!(pose.position, [5.0, -2.0, 0.0]);
         let expected = from_heading(-0.2);
         for (a, b) in pose.orientation.iter().zip(expected) {
