@@ -2,6 +2,7 @@
 
 mod batch;
 mod errors;
+mod import;
 mod real_logs;
 mod resume;
 mod run;

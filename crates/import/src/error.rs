@@ -56,7 +56,7 @@ pub enum ImportError {
     },
     /// A capture of several sensors, of which none was chosen.
     #[error(
-        "{} holds the data of several sensors, {addresses}: choose one by its address (`source_ip`)",
+        "{} holds the data of several sensors, {addresses}: choose one by its address with `--source-ip`",
         path.display()
     )]
     SeveralSensors {

@@ -5,6 +5,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use dataset::Dropped;
 
 use crate::config::Config;
+use crate::import::ImportArgs;
 use crate::run::{Mode, Run};
 use crate::{inspect, lineage, models, pipeline, stages};
 
@@ -67,6 +68,8 @@ enum Command {
         #[arg(long)]
         json: bool,
     },
+    /// Turn a recording in another format into an MCAP log
+    Import(ImportArgs),
     /// Tell what an artifact was made from, up to the logs
     Log {
         /// A table, a model.json or a report.html
@@ -185,6 +188,7 @@ impl Cli {
             Command::Train(args) => args.execute(always, true, stages::train::run),
             Command::Evaluate(args) => args.execute(always, true, stages::evaluate::run),
             Command::Inspect { log, write, json } => inspect::inspect(&log, write.as_deref(), json),
+            Command::Import(args) => args.execute(),
             Command::Log { artifact } => done(lineage::log(&artifact)),
             Command::Verify { folder, pipeline } => {
                 let config = pipeline.map(|path| Config::load(&path, &[])).transpose()?;

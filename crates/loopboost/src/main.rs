@@ -13,6 +13,7 @@ macro_rules! out {
 
 mod cli;
 mod config;
+mod import;
 mod inspect;
 mod lineage;
 mod logs;

@@ -1,0 +1,136 @@
+//! `import`: recordings in other formats -> an MCAP log.
+
+use std::fs::File;
+use std::io::BufWriter;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+
+use ::import::{Compression, ImportError, Imported, Options};
+use anyhow::{Context, Result, anyhow};
+use clap::{Args, ValueEnum};
+use dataset::Dropped;
+use dataset::tables::{TableError, write_atomically};
+use serde_json::json;
+
+use crate::run::progress_bar;
+
+#[derive(Args)]
+pub(crate) struct ImportArgs {
+    /// Velodyne captures (pcap, pcapng), an NCLT folder or its files, or CARMEN logs; of one format,
+    /// and of one recording
+    #[arg(required = true)]
+    inputs: Vec<PathBuf>,
+    /// The log to write
+    #[arg(long, value_name = "LOG.mcap")]
+    out: PathBuf,
+    /// How chunks are compressed
+    #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
+    compression: CompressionArg,
+    /// Captures: UDP port of the sensor's data
+    #[arg(long, default_value_t = Options::default().udp_port)]
+    udp_port: u16,
+    /// Captures: UDP port of the sensor's positions
+    #[arg(long, default_value_t = Options::default().position_port)]
+    position_port: u16,
+    /// Captures: the sensor's address, where there are several
+    #[arg(long, value_name = "ADDRESS")]
+    source_ip: Option<IpAddr>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+enum CompressionArg {
+    Zstd,
+    Lz4,
+    None,
+}
+
+impl ImportArgs {
+    /// Writes the log; returns what of the recording could not be used.
+    pub(crate) fn execute(self) -> Result<Dropped> {
+        if self.out.exists() {
+            return Err(anyhow!("{} is there already; name another file", self.out.display()));
+        }
+        let options = Options {
+            compression: match self.compression {
+                CompressionArg::Zstd => Compression::Zstd,
+                CompressionArg::Lz4 => Compression::Lz4,
+                CompressionArg::None => Compression::None,
+            },
+            udp_port: self.udp_port,
+            position_port: self.position_port,
+            source_ip: self.source_ip,
+            ..Options::default()
+        };
+        let n_bytes = ::import::input_bytes(&self.inputs)?;
+        let progress = progress_bar(n_bytes, format!("import {}", self.out.display()), true);
+        let imported = write_atomically(&self.out, |mut file: BufWriter<File>| {
+            let imported =
+                ::import::import(&self.inputs, &options, &mut file, |n| progress.set_position(n))?;
+            Ok::<_, WriteLog>((file, imported))
+        })
+        .map_err(|error| match error {
+            WriteLog::Import(error) => anyhow::Error::from(error),
+            WriteLog::Table(error) => error.into(),
+        })
+        .with_context(|| format!("{} was not written", self.out.display()))?;
+        progress.finish_and_clear();
+        match self.json {
+            true => print_json(&self.out, &imported)?,
+            false => print(&self.out, &imported),
+        }
+        Ok(imported.dropped)
+    }
+}
+
+fn print(path: &Path, imported: &Imported) {
+    let seconds = (imported.end_ns - imported.start_ns) as f64 * 1e-9;
+    out!("{}: {}, {seconds:.1} s", path.display(), imported.format);
+    for topic in &imported.topics {
+        out!("  {:<24} {} ({} messages)", topic.topic, topic.message_type, topic.n_messages);
+    }
+    for (remark, n) in imported.remarks.iter() {
+        out!("  {n} {remark}");
+    }
+}
+
+fn print_json(path: &Path, imported: &Imported) -> Result<()> {
+    let topics = imported.topics.iter().map(|topic| {
+        json!({
+            "topic": topic.topic,
+            "type": topic.message_type.to_string(),
+            "n_messages": topic.n_messages,
+        })
+    });
+    let all = json!({
+        "log": path,
+        "format": imported.format.to_string(),
+        "start_ns": imported.start_ns,
+        "end_ns": imported.end_ns,
+        "topics": topics.collect::<Vec<_>>(),
+        "dropped": imported.dropped,
+        "remarks": imported.remarks,
+    });
+    out!("{}", serde_json::to_string_pretty(&all)?);
+    Ok(())
+}
+
+/// What can go wrong while the log is written.
+enum WriteLog {
+    Import(ImportError),
+    Table(TableError),
+}
+
+impl From<ImportError> for WriteLog {
+    fn from(error: ImportError) -> Self {
+        Self::Import(error)
+    }
+}
+
+impl From<TableError> for WriteLog {
+    fn from(error: TableError) -> Self {
+        Self::Table(error)
+    }
+}
