@@ -70,4 +70,5 @@ def main():
         assert azimuth_error <= 0.02 and range_error <= 0.005
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -157,6 +157,7 @@ impl Log {
         let mut contents =
             Contents { channels, time_range_ns: time_range_ns(&summary), ..Contents::default() };
         let mut at = mcap::MAGIC.len();
+        let mut seen = Seen::new(self);
         for index in indexes {
             let start = usize::try_from(index.chunk_start_offset).ok()?;
             let end = start.checked_add(usize::try_from(index.chunk_length).ok()?)?;
@@ -178,6 +179,7 @@ impl Log {
                     .then(|| index.message_index_offsets.keys().copied().collect()),
             });
             at = end;
+            seen.reach(at);
         }
         // Up to the end of the data section or of the file, whatever comes first.
         self.walk(at..bytes.len(), &mut contents);
@@ -214,7 +216,9 @@ impl Log {
         // Up to the end of the data: the summary repeats them, and may be what is damaged.
         let data = records(self.bytes(), mcap::MAGIC.len()..self.bytes.len())
             .take_while(|record| record.opcode != op::DATA_END);
+        let mut seen = Seen::new(self);
         for record in data {
+            seen.reach(record.body.end);
             if matches!(record.opcode, op::SCHEMA | op::CHANNEL)
                 && let Ok(parsed) = mcap::parse_record(record.opcode, &self.bytes()[record.body])
             {
@@ -222,7 +226,9 @@ impl Log {
             }
         }
         let mut buffer = Buffer::default();
+        let mut seen = Seen::new(self);
         for piece in &contents.pieces {
+            seen.reach(piece.range.end);
             // What is broken is counted when the messages are read.
             chunk::records(self.bytes(), piece, &mut buffer, &mut define);
         }
@@ -250,8 +256,10 @@ impl Log {
         // Messages outside chunks are taken together, up to a size.
         let mut loose: Option<Range<usize>> = None;
         let piece = |kind, range| Piece { kind, range, channels: None };
+        let mut seen = Seen::new(self);
         for record in records(self.bytes(), range.clone()) {
             let start = std::mem::replace(&mut at, record.body.end);
+            seen.reach(at);
             match record.opcode {
                 op::MESSAGE => {
                     let stretch = loose.get_or_insert(start..start);
@@ -283,6 +291,29 @@ impl Log {
                 let range = at..self.bytes.len();
                 contents.pieces.push(Piece { kind: PieceKind::CutChunk, range, channels: None });
             }
+        }
+    }
+}
+
+/// Lets go of the file's pages as its structure is read: a look at one byte of a chunk brings in
+/// 16 pages around it, which for many chunks adds up.
+struct Seen<'a> {
+    log: &'a Log,
+    forgotten: usize,
+}
+
+impl<'a> Seen<'a> {
+    /// Bytes after which pages are let go.
+    const STRETCH: usize = 64 << 20;
+
+    fn new(log: &'a Log) -> Self {
+        Self { log, forgotten: 0 }
+    }
+
+    fn reach(&mut self, end: usize) {
+        if self.forgotten + Self::STRETCH < end {
+            self.log.forget_up_to(end);
+            self.forgotten = end;
         }
     }
 }
