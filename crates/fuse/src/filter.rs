@@ -110,7 +110,7 @@ impl State {
         let window = step.window.map(|window| &windows[window]);
         let turn = window.and_then(|window| self.measure_turn_difference(options, window));
         let transition = self.predict(options, &step.motion);
-        let heading = self.measure_heading(options, step.heading_rad);
+        let heading = step.heading_rad.map(|heading| self.measure_heading(options, heading));
         Applied { turn, transition, heading }
     }
 
@@ -118,7 +118,7 @@ impl State {
     ///
     /// A wheel's path is its measured one times 1 + s - e (left) or 1 + s + e (right), and the
     /// nominal track over the true one is 1 + k (differential drive: Borenstein and Feng 1996,
-    /// eq. 1.3):
+    /// see [`Options::wheel_difference_std`]):
     ///
     /// ```text
     /// turn = (right (1 + s + e) - left (1 + s - e)) (1 + k) / track
@@ -180,7 +180,7 @@ impl State {
     }
 
     /// The pose moves along an arc, the parameters walk (Thrun, Burgard and Fox 2005,
-    /// "Probabilistic Robotics", ch. 5.4 and 7.4, here with the chord's length by sinc):
+    /// "Probabilistic Robotics", ch. 5.3 and 7.4, here with the chord's length by sinc):
     ///
     /// ```text
     /// x' = x + d sinc(t / 2) cos(heading + t / 2)      d: distance, t: turn
@@ -239,14 +239,7 @@ impl State {
     /// A measured heading is the frame's, turned by an offset, with an error that drifts and one
     /// that repeats with the heading: the coefficients B and C of a compass's deviation (NGA,
     /// "Handbook of magnetic compass adjustment", Pub. 226).
-    pub(crate) fn measure_heading(
-        &mut self,
-        options: &Options,
-        heading_rad: f64,
-    ) -> Option<Update> {
-        if heading_rad.is_nan() {
-            return None;
-        }
+    pub(crate) fn measure_heading(&mut self, options: &Options, heading_rad: f64) -> Update {
         let mean = &self.mean;
         let (sin, cos) = libm::sincos(mean[HEADING]);
         let expected = mean[HEADING]
@@ -262,11 +255,11 @@ impl State {
         h[DEVIATION_SIN] = sin;
         let innovation = dataset::wrap_angle(heading_rad - expected);
         let noise = options.heading_noise_std * options.heading_noise_std;
-        Some(self.update(options.gate, h, innovation, noise))
+        self.update(options.gate, h, innovation, noise)
     }
 
     /// Särkkä 2013, "Bayesian filtering and smoothing", eq. 5.27, for a scalar. Beyond the gate
-    /// the noise is raised until the innovation lies on it (Chang 2014, eq. 16).
+    /// the noise is raised until the innovation lies on it (Chang 2014, see [`Options::gate`]).
     fn update(&mut self, gate: f64, h: Vector, innovation: f64, noise: f64) -> Update {
         let p_h = self.covariance * h;
         let expected = h.dot(&p_h) + noise;

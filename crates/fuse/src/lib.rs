@@ -27,7 +27,8 @@
 //!
 //! What can be known: the gyroscope tells the ratio of wheel scale to track
 //! ([`Options::track_std`] says who is to blame), a standstill its bias. Nothing here tells where
-//! the log began: the first pose is certain by definition, and covariances are relative to it.
+//! the log began: the first pose is certain by definition, and covariances are relative to it. A
+//! robot that is carried with its wheels at rest is not seen to move.
 //!
 //! A source that is missing for a while is bridged by the other one; the variance of what both
 //! miss grows with the third power of the gap. Everything is computed one after the other in f64
@@ -150,6 +151,8 @@ pub enum FuseError {
 /// The poses are at the stamps of the wheel samples, or at `stamps` where given. The first wheel
 /// sample is at `start`; without one, at the origin with the first heading measured there, else
 /// 0. No IMU samples at all leave plain wheel odometry.
+///
+/// Samples whose stamp does not come after the last one kept are dropped and counted.
 pub fn fuse(
     options: &Options,
     wheels: &[WheelSample],
@@ -161,7 +164,7 @@ pub fn fuse(
     let mut dropped = Dropped::default();
     let steps = steps::steps(options, wheels, imu, stamps, &mut dropped)?;
     let start = start.unwrap_or_else(|| Pose2 {
-        heading_rad: Some(steps.start_heading_rad).filter(|h| !h.is_nan()).unwrap_or(0.0),
+        heading_rad: steps.start_heading_rad.unwrap_or(0.0),
         ..Pose2::default()
     });
     let path = smoother::estimate(options, &steps, start);

@@ -25,7 +25,8 @@ pub struct Options {
     pub wheel_scale_std: f64,
     /// Deviation of half the difference between the right wheel's scale and the left one's,
     /// which bends straight lines: Borenstein and Feng 1996, "Measurement and correction of
-    /// systematic odometry errors in mobile robots", their E_d.
+    /// systematic odometry errors in mobile robots", their E_d. At constant speed it cannot be
+    /// told from the gyroscope's bias; leave it at 0 unless the robot often stands still.
     pub wheel_difference_std: f64,
     /// White noise of a wheel's speed \[m/s/sqrt(Hz)\]: 0.02 m/s at 50 Hz.
     pub wheel_noise_density: f64,
@@ -48,9 +49,11 @@ pub struct Options {
     /// White noise of a heading measurement \[rad\].
     pub heading_noise_std: f64,
     /// Deviation of the error of the measured heading that comes and goes with the place, such as
-    /// the magnetic field of a building \[rad\]; a first-order Gauss-Markov process.
+    /// the magnetic field of a building \[rad\]; a first-order Gauss-Markov process. Data sheets
+    /// promise 2 deg in motion (LORD MicroStrain 3DM-GX3-25); indoors it is more.
     pub heading_drift_std: f64,
-    /// How long that error lasts: its correlation falls to 1/e after this \[s\].
+    /// How long that error lasts: its correlation falls to 1/e after this \[s\]. An hour or more
+    /// for a fibre-optic gyroscope, whose heading wanders on its own.
     pub heading_drift_secs: f64,
     /// Deviation of the error of the measured heading that repeats with the heading \[rad\]: iron
     /// carried along. 0 for a heading that does not come from a magnetometer.

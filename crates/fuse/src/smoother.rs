@@ -1,9 +1,9 @@
 //! The smoother: the filter's states, corrected by all that came after.
 //!
 //! The Rauch-Tung-Striebel estimate (Särkkä 2013, "Bayesian filtering and smoothing", th. 8.2 and
-//! alg. 9.1), computed as Bierman's modified Bryson-Frazier recursion (Bierman 1977,
-//! "Factorization methods for discrete sequential estimation", ch. X; the same as Durbin and
-//! Koopman 2012, "Time series analysis by state space methods", eq. 4.38 and 4.42). Where RTS
+//! alg. 9.1), computed as the modified Bryson-Frazier recursion (Bierman 1973, "Fixed interval
+//! smoothing with discrete measurements"; the same as Durbin and Koopman 2012, "Time series
+//! analysis by state space methods", sec. 4.4). Where RTS
 //! inverts the covariance predicted at every step, this carries the gradient r and the
 //! information N of all later innovations backwards:
 //!
@@ -76,7 +76,7 @@ pub(crate) fn estimate(options: &Options, steps: &Steps, start: dataset::Pose2) 
         n_headings += u64::from(update.is_some());
         n_heading_outliers += u64::from(update.is_some_and(|update| update.is_outlier));
     };
-    count_heading(state.measure_heading(options, steps.start_heading_rad));
+    count_heading(steps.start_heading_rad.map(|heading| state.measure_heading(options, heading)));
     let mut estimates = Vec::with_capacity(steps.steps.len() + 1);
     estimates.push(Estimate::filtered(&state));
     let mut kept = Vec::new();
@@ -186,7 +186,7 @@ mod tests {
 
         // Each step once more in its three parts.
         let mut state = State::start(&options, Pose2::default());
-        state.measure_heading(&options, steps.start_heading_rad);
+        state.measure_heading(&options, steps.start_heading_rad.unwrap());
         let mut passed = Vec::new();
         for step in &steps.steps {
             let mut parts = state;
@@ -231,7 +231,7 @@ mod tests {
             state.mean[POSE + k] = value;
         }
         let mut step = steps.steps[40];
-        (step.window, step.heading_rad) = (None, f64::NAN);
+        (step.window, step.heading_rad) = (None, None);
         step.motion.dt = 0.5;
         step.motion.distance_m *= 10.0;
         step.motion.variance.turn_gyro = step.motion.variance.turn_wheels; // half weight each

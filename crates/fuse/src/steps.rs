@@ -19,8 +19,8 @@ pub(crate) struct Step {
     /// End of the step \[ns\].
     pub(crate) stamp_ns: i64,
     pub(crate) motion: Motion,
-    /// Heading measured at the end of the step; NaN where none is used \[rad\].
-    pub(crate) heading_rad: f64,
+    /// Heading measured at the end of the step, where one is used \[rad\].
+    pub(crate) heading_rad: Option<f64>,
     /// The window that ends with the step, of [`Steps::windows`].
     pub(crate) window: Option<usize>,
     /// A pose is asked for at the end of the step.
@@ -66,8 +66,8 @@ pub(crate) struct Steps {
     pub(crate) start_ns: i64,
     /// A pose is asked for at the first stamp.
     pub(crate) is_start_output: bool,
-    /// The heading measured at the first stamp; NaN where there is none \[rad\].
-    pub(crate) start_heading_rad: f64,
+    /// The heading measured at the first stamp, where there is one \[rad\].
+    pub(crate) start_heading_rad: Option<f64>,
     pub(crate) steps: Vec<Step>,
     /// Motions over which gyroscope and wheels are compared.
     pub(crate) windows: Vec<Motion>,
@@ -270,15 +270,15 @@ impl<'a> Headings<'a> {
         Self { samples, every_secs, max_gap_secs, last_ns: None }
     }
 
-    /// The heading at a stamp, along the shorter arc between the two samples around it; NaN where
+    /// The heading at a stamp, along the shorter arc between the two samples around it; none where
     /// one of them has none, they are far apart or the last one used is near.
-    fn at(&mut self, stamp_ns: i64) -> f64 {
+    fn at(&mut self, stamp_ns: i64) -> Option<f64> {
         if self.last_ns.is_some_and(|last| seconds(last, stamp_ns) < self.every_secs) {
-            return f64::NAN;
+            return None;
         }
         let n_before = self.samples.iter().take_while(|s| s.stamp_ns <= stamp_ns).count();
         self.samples = &self.samples[n_before.saturating_sub(1)..];
-        let [before, after @ ..] = self.samples else { return f64::NAN };
+        let [before, after @ ..] = self.samples else { return None };
         let measured = |sample: &ImuSample| sample.heading_rad.filter(|h| h.is_finite());
         let heading = if before.stamp_ns == stamp_ns {
             measured(before)
@@ -296,6 +296,6 @@ impl<'a> Headings<'a> {
         if heading.is_some() {
             self.last_ns = Some(stamp_ns);
         }
-        heading.unwrap_or(f64::NAN)
+        heading
     }
 }
