@@ -1,0 +1,33 @@
+//! An hour of IMU at 100 Hz, with headings, and wheels at 50 Hz.
+//!
+//! `cargo bench -p fuse --bench hour`
+//!
+//! What is computed is checked too: the end of the path lies where its covariance says.
+
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use dataset::Pose2;
+use fuse::{Options, fuse};
+use support::{Drive, Errors, Logged, drive, nees, winding_on};
+
+fn main() {
+    divan::main();
+}
+
+fn hour(options: &Options) -> Logged {
+    let hour =
+        Drive { secs: 3600.0, wheel_hz: 50.0, imu_hz: 100.0, twist: winding_on, has_heading: true };
+    drive(options, &hour, Errors { gyro_bias: 0.002, ..Errors::default() }, 1.0, 1)
+}
+
+#[divan::bench(args = [false, true], sample_count = 10, sample_size = 1)]
+fn an_hour(bencher: divan::Bencher, smooth: bool) {
+    let options = Options { track_m: 0.5, smooth, ..Options::default() };
+    let logged = hour(&options);
+    let run = || fuse(&options, &logged.wheels, &logged.imu, Some(Pose2::default()), None).unwrap();
+    // Chi-square with 3 degrees of freedom: 1 in 1000 is beyond 16.3.
+    let fused = run();
+    assert!(nees(fused.poses.last().unwrap(), logged.truth.last().unwrap()) < 16.3);
+    bencher.bench_local(run);
+}

@@ -1,0 +1,355 @@
+//! The extended Kalman filter: what is known of the state after each step, from the steps before.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::Options;
+use crate::steps::{Motion, Step};
+
+/// Number of states: the pose, then the parameters.
+pub(crate) const N: usize = POSE + PARAMETERS;
+/// x \[m\], y \[m\] and heading, not wrapped \[rad\].
+pub(crate) const POSE: usize = 3;
+/// The rest; each keeps its value, forgets it, or walks, whatever the motion.
+const PARAMETERS: usize = 8;
+
+pub(crate) const HEADING: usize = 2;
+pub(crate) const GYRO_BIAS: usize = 3;
+pub(crate) const WHEEL_SCALE: usize = 4;
+pub(crate) const WHEEL_DIFFERENCE: usize = 5;
+pub(crate) const TRACK: usize = 6;
+const HEADING_OFFSET: usize = 7;
+const HEADING_DRIFT: usize = 8;
+const DEVIATION_COS: usize = 9;
+const DEVIATION_SIN: usize = 10;
+
+/// Deviation of the offset between the headings measured and the frame of the poses: none known
+/// \[rad\].
+const HEADING_OFFSET_STD: f64 = std::f64::consts::PI;
+
+pub(crate) type Vector = SVector<f64, N>;
+pub(crate) type Matrix = SMatrix<f64, N, N>;
+/// A derivative of the pose by the parameters.
+pub(crate) type PoseByParameters = SMatrix<f64, POSE, PARAMETERS>;
+
+/// Mean and covariance.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct State {
+    pub(crate) mean: Vector,
+    pub(crate) covariance: Matrix,
+}
+
+/// The derivative F of a step's end by its start:
+///
+/// ```text
+/// F = | A  B |   A = | 1 0 -dy |    B: pose by parameters
+///     | 0  D |       | 0 1  dx |    D: diagonal, 1 but for the heading's drift
+///                    | 0 0  1  |
+/// ```
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Transition {
+    pub(crate) dx_m: f64,
+    pub(crate) dy_m: f64,
+    pub(crate) by_parameters: PoseByParameters,
+    /// What is left of the heading's drift.
+    pub(crate) drift_left: f64,
+}
+
+/// A scalar measurement as it was used: its derivative by the state, its innovation, the
+/// innovation's variance and the gain.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Update {
+    pub(crate) h: Vector,
+    pub(crate) innovation: f64,
+    pub(crate) variance: f64,
+    pub(crate) gain: Vector,
+    /// The innovation was beyond the gate and its noise was raised.
+    pub(crate) is_outlier: bool,
+}
+
+/// What a step did to the state, in this order.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Applied {
+    pub(crate) turn: Option<Update>,
+    pub(crate) transition: Transition,
+    pub(crate) heading: Option<Update>,
+}
+
+/// What is known of a turn.
+struct Turn {
+    /// \[rad\]
+    by_wheels: f64,
+    /// Without the bias; none where there is no IMU \[rad\].
+    by_gyro: Option<f64>,
+    /// Weight of the gyroscope in the mean, 0 to 1; 0 where there is none.
+    gyro_weight: f64,
+    /// \[rad\]
+    mean: f64,
+    /// Of the mean \[rad^2\].
+    variance: f64,
+}
+
+impl State {
+    /// At the first stamp: the pose is what defines the frame, and certain.
+    pub(crate) fn start(options: &Options, pose: dataset::Pose2) -> Self {
+        let mut std = Vector::zeros();
+        std[GYRO_BIAS] = options.gyro_bias_std;
+        std[WHEEL_SCALE] = options.wheel_scale_std;
+        std[WHEEL_DIFFERENCE] = options.wheel_difference_std;
+        std[TRACK] = options.track_std;
+        std[HEADING_OFFSET] = HEADING_OFFSET_STD;
+        std[HEADING_DRIFT] = options.heading_drift_std;
+        std[DEVIATION_COS] = options.heading_deviation_std;
+        std[DEVIATION_SIN] = options.heading_deviation_std;
+        let mut mean = Vector::zeros();
+        mean.fixed_rows_mut::<POSE>(0).copy_from_slice(&[pose.x_m, pose.y_m, pose.heading_rad]);
+        Self { mean, covariance: Matrix::from_diagonal(&std.component_mul(&std)) }
+    }
+
+    /// One step; `windows` as in [`Steps`](crate::steps::Steps).
+    pub(crate) fn step(&mut self, options: &Options, windows: &[Motion], step: &Step) -> Applied {
+        let window = step.window.map(|window| &windows[window]);
+        let turn = window.and_then(|window| self.measure_turn_difference(options, window));
+        let transition = self.predict(options, &step.motion);
+        let heading = step.heading_rad.map(|heading| self.measure_heading(options, heading));
+        Applied { turn, transition, heading }
+    }
+
+    /// What wheels and gyroscope say of a turn.
+    ///
+    /// A wheel's path is its measured one times 1 + s - e (left) or 1 + s + e (right), and the
+    /// nominal track over the true one is 1 + k (differential drive: Borenstein and Feng 1996,
+    /// see [`Options::wheel_difference_std`]):
+    ///
+    /// ```text
+    /// turn = (right (1 + s + e) - left (1 + s - e)) (1 + k) / track
+    ///      = ((1 + s) difference + 2 e distance) (1 + k) / track
+    /// ```
+    fn turn(&self, options: &Options, motion: &Motion) -> Turn {
+        let [s, e, k] = [WHEEL_SCALE, WHEEL_DIFFERENCE, TRACK].map(|state| self.mean[state]);
+        let turned_m = (1.0 + s) * motion.difference_m + 2.0 * e * motion.distance_m;
+        let by_wheels = turned_m * (1.0 + k) / options.track_m;
+        let variance = &motion.variance;
+        let Some(turn_rad) = motion.turn_rad else {
+            return Turn {
+                by_wheels,
+                by_gyro: None,
+                gyro_weight: 0.0,
+                mean: by_wheels,
+                variance: variance.turn_wheels + variance.turn_both,
+            };
+        };
+        let by_gyro = turn_rad - self.mean[GYRO_BIAS] * motion.dt;
+        let gyro_weight = variance.turn_wheels / (variance.turn_wheels + variance.turn_gyro);
+        Turn {
+            by_wheels,
+            by_gyro: Some(by_gyro),
+            gyro_weight,
+            mean: gyro_weight * by_gyro + (1.0 - gyro_weight) * by_wheels,
+            variance: gyro_weight * variance.turn_gyro + variance.turn_both,
+        }
+    }
+
+    /// Gyroscope against wheels: their turns differ by the bias and by what is wrong with the
+    /// wheels' parameters.
+    ///
+    /// The difference of two measurements of one turn, with independent errors a and b of the
+    /// variances p and q, is independent of their mean weighted by 1/p and 1/q:
+    /// cov((q a + p b) / (p + q), a - b) = (q p - p q) / (p + q) = 0. So the difference may tell
+    /// about the parameters here and the mean may move the pose in [`predict`](Self::predict).
+    /// The derivative, too, is taken at the mean: with the wheels' own turn its error would
+    /// correlate with the difference and pull the scale down (regression dilution; Fuller 1987,
+    /// "Measurement error models", sec. 1.1). For the same reason samples too sparse for the
+    /// motion, where both turns are mostly error, say nothing about parameters.
+    fn measure_turn_difference(&mut self, options: &Options, motion: &Motion) -> Option<Update> {
+        let turn = self.turn(options, motion);
+        let variance = &motion.variance;
+        let noise = variance.turn_gyro + variance.turn_wheels;
+        let is_resolved = motion.is_still || variance.turn_both < noise;
+        let by_gyro = turn.by_gyro.filter(|_| is_resolved)?;
+        let mut h = Vector::zeros();
+        h[GYRO_BIAS] = motion.dt;
+        h[WHEEL_SCALE] = turn.mean / (1.0 + self.mean[WHEEL_SCALE]);
+        h[WHEEL_DIFFERENCE] = self.turn_by_difference(options, motion);
+        h[TRACK] = turn.mean / (1.0 + self.mean[TRACK]);
+        Some(self.update(options.gate, h, by_gyro - turn.by_wheels, noise))
+    }
+
+    /// Derivative of the turn by the wheels by the wheels' difference \[rad\].
+    fn turn_by_difference(&self, options: &Options, motion: &Motion) -> f64 {
+        2.0 * motion.distance_m * (1.0 + self.mean[TRACK]) / options.track_m
+    }
+
+    /// The pose moves along an arc, the parameters walk (Thrun, Burgard and Fox 2005,
+    /// "Probabilistic Robotics", ch. 5.3 and 7.4, here with the chord's length by sinc):
+    ///
+    /// ```text
+    /// x' = x + d sinc(t / 2) cos(heading + t / 2)      d: distance, t: turn
+    /// y' = y + d sinc(t / 2) sin(heading + t / 2)
+    /// heading' = heading + t
+    /// ```
+    fn predict(&mut self, options: &Options, motion: &Motion) -> Transition {
+        let turn = self.turn(options, motion);
+        let (scale, difference) = (self.mean[WHEEL_SCALE], self.mean[WHEEL_DIFFERENCE]);
+        let distance = (1.0 + scale) * motion.distance_m + 0.5 * difference * motion.difference_m;
+
+        let (sin, cos) = libm::sincos(self.mean[HEADING] + 0.5 * turn.mean);
+        let (sinc, sinc_slope) = sinc(0.5 * turn.mean);
+        let (dx_m, dy_m) = (distance * sinc * cos, distance * sinc * sin);
+        let by_distance = SVector::<f64, POSE>::new(sinc * cos, sinc * sin, 0.0);
+        let by_turn = SVector::<f64, POSE>::new(
+            0.5 * distance * (sinc_slope * cos - sinc * sin),
+            0.5 * distance * (sinc_slope * sin + sinc * cos),
+            1.0,
+        );
+        let aside = SVector::<f64, POSE>::new(-sin, cos, 0.0);
+
+        let mut distance_by = SMatrix::<f64, 1, PARAMETERS>::zeros();
+        distance_by[WHEEL_SCALE - POSE] = motion.distance_m;
+        distance_by[WHEEL_DIFFERENCE - POSE] = 0.5 * motion.difference_m;
+        let wheels_weight = 1.0 - turn.gyro_weight;
+        let mut turn_by = SMatrix::<f64, 1, PARAMETERS>::zeros();
+        turn_by[WHEEL_SCALE - POSE] = wheels_weight * turn.mean / (1.0 + scale);
+        turn_by[WHEEL_DIFFERENCE - POSE] = wheels_weight * self.turn_by_difference(options, motion);
+        turn_by[TRACK - POSE] = wheels_weight * turn.mean / (1.0 + self.mean[TRACK]);
+        turn_by[GYRO_BIAS - POSE] = -turn.gyro_weight * motion.dt;
+        let transition = Transition {
+            dx_m,
+            dy_m,
+            by_parameters: by_distance * distance_by + by_turn * turn_by,
+            drift_left: libm::exp(-motion.dt / options.heading_drift_secs),
+        };
+
+        self.mean[0] += dx_m;
+        self.mean[1] += dy_m;
+        self.mean[HEADING] += turn.mean;
+        self.mean[HEADING_DRIFT] *= transition.drift_left;
+        transition.apply(&mut self.covariance);
+        let mut pose = self.covariance.fixed_view_mut::<POSE, POSE>(0, 0);
+        pose += motion.variance.along * by_distance * by_distance.transpose()
+            + motion.variance.aside * aside * aside.transpose()
+            + turn.variance * by_turn * by_turn.transpose();
+        let walk = options.gyro_bias_walk;
+        self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * motion.dt;
+        let std = options.heading_drift_std;
+        self.covariance[(HEADING_DRIFT, HEADING_DRIFT)] +=
+            std * std * (1.0 - transition.drift_left * transition.drift_left);
+        transition
+    }
+
+    /// A measured heading is the frame's, turned by an offset, with an error that drifts and one
+    /// that repeats with the heading: the coefficients B and C of a compass's deviation (NGA,
+    /// "Handbook of magnetic compass adjustment", Pub. 226).
+    pub(crate) fn measure_heading(&mut self, options: &Options, heading_rad: f64) -> Update {
+        let mean = &self.mean;
+        let (sin, cos) = libm::sincos(mean[HEADING]);
+        let expected = mean[HEADING]
+            + mean[HEADING_OFFSET]
+            + mean[HEADING_DRIFT]
+            + mean[DEVIATION_COS] * cos
+            + mean[DEVIATION_SIN] * sin;
+        let mut h = Vector::zeros();
+        h[HEADING] = 1.0 - mean[DEVIATION_COS] * sin + mean[DEVIATION_SIN] * cos;
+        h[HEADING_OFFSET] = 1.0;
+        h[HEADING_DRIFT] = 1.0;
+        h[DEVIATION_COS] = cos;
+        h[DEVIATION_SIN] = sin;
+        let innovation = dataset::wrap_angle(heading_rad - expected);
+        let noise = options.heading_noise_std * options.heading_noise_std;
+        self.update(options.gate, h, innovation, noise)
+    }
+
+    /// Särkkä 2013, "Bayesian filtering and smoothing", eq. 5.27, for a scalar. Beyond the gate
+    /// the noise is raised until the innovation lies on it (Chang 2014, see [`Options::gate`]).
+    fn update(&mut self, gate: f64, h: Vector, innovation: f64, noise: f64) -> Update {
+        let p_h = self.covariance * h;
+        let expected = h.dot(&p_h) + noise;
+        let least = innovation * innovation / (gate * gate);
+        let is_outlier = expected < least;
+        let variance = if is_outlier { least } else { expected };
+        let gain = p_h / variance;
+        self.mean += gain * innovation;
+        // P - P h h' P / s, whose rounding is symmetric.
+        self.covariance.syger(-1.0 / variance, &p_h, &p_h, 1.0);
+        self.covariance.fill_upper_triangle_with_lower_triangle();
+        Update { h, innovation, variance, gain, is_outlier }
+    }
+}
+
+impl Transition {
+    /// P := F P F', block by block.
+    fn apply(&self, covariance: &mut Matrix) {
+        let a = self.pose_by_pose();
+        let b = &self.by_parameters;
+        let pose = covariance.fixed_view::<POSE, POSE>(0, 0).into_owned();
+        let cross = covariance.fixed_view::<POSE, PARAMETERS>(0, POSE).into_owned();
+        let parameters = covariance.fixed_view::<PARAMETERS, PARAMETERS>(POSE, POSE).into_owned();
+
+        let moved = a * cross + b * parameters; // the cross block of F P, before D
+        let corner = (a * pose + b * cross.transpose()) * a.transpose() + moved * b.transpose();
+        let corner = 0.5 * (corner + corner.transpose());
+        covariance.fixed_view_mut::<POSE, POSE>(0, 0).copy_from(&corner);
+        covariance.fixed_view_mut::<POSE, PARAMETERS>(0, POSE).copy_from(&moved);
+        covariance.fixed_view_mut::<PARAMETERS, POSE>(POSE, 0).copy_from(&moved.transpose());
+        covariance.row_mut(HEADING_DRIFT).scale_mut(self.drift_left);
+        covariance.column_mut(HEADING_DRIFT).scale_mut(self.drift_left);
+    }
+
+    pub(crate) fn pose_by_pose(&self) -> SMatrix<f64, POSE, POSE> {
+        SMatrix::<f64, POSE, POSE>::new(
+            1.0, 0.0, -self.dy_m, //
+            0.0, 1.0, self.dx_m, //
+            0.0, 0.0, 1.0,
+        )
+    }
+
+    /// F as a whole.
+    #[cfg(test)]
+    pub(crate) fn matrix(&self) -> Matrix {
+        let mut f = Matrix::identity();
+        f.fixed_view_mut::<POSE, POSE>(0, 0).copy_from(&self.pose_by_pose());
+        f.fixed_view_mut::<POSE, PARAMETERS>(0, POSE).copy_from(&self.by_parameters);
+        f[(HEADING_DRIFT, HEADING_DRIFT)] = self.drift_left;
+        f
+    }
+
+    /// v := F' v.
+    pub(crate) fn pull_back(&self, v: &Vector) -> Vector {
+        let pose = v.fixed_rows::<POSE>(0);
+        let mut pulled = *v;
+        pulled[HEADING] += self.dx_m * v[1] - self.dy_m * v[0];
+        pulled[HEADING_DRIFT] *= self.drift_left;
+        let mut parameters = pulled.fixed_rows_mut::<PARAMETERS>(POSE);
+        parameters += self.by_parameters.transpose() * pose;
+        pulled
+    }
+
+    /// M := F' M F for a symmetric M, block by block.
+    pub(crate) fn pull_back_matrix(&self, m: &mut Matrix) {
+        let a = self.pose_by_pose();
+        let b = &self.by_parameters;
+        m.row_mut(HEADING_DRIFT).scale_mut(self.drift_left);
+        m.column_mut(HEADING_DRIFT).scale_mut(self.drift_left);
+        let pose = m.fixed_view::<POSE, POSE>(0, 0).into_owned();
+        let cross = m.fixed_view::<POSE, PARAMETERS>(0, POSE).into_owned();
+
+        let pose_b = pose * b;
+        let b_cross = b.transpose() * cross;
+        let pulled_cross = a.transpose() * (pose_b + cross);
+        let corner = a.transpose() * pose * a;
+        m.fixed_view_mut::<POSE, POSE>(0, 0).copy_from(&(0.5 * (corner + corner.transpose())));
+        m.fixed_view_mut::<POSE, PARAMETERS>(0, POSE).copy_from(&pulled_cross);
+        m.fixed_view_mut::<PARAMETERS, POSE>(POSE, 0).copy_from(&pulled_cross.transpose());
+        let mut parameters = m.fixed_view_mut::<PARAMETERS, PARAMETERS>(POSE, POSE);
+        parameters += b.transpose() * pose_b + b_cross + b_cross.transpose();
+    }
+}
+
+/// sin(a) / a and its derivative; below 1e-4 by their series, good to 1e-17.
+fn sinc(a: f64) -> (f64, f64) {
+    if a.abs() < 1e-4 {
+        return (1.0 - a * a / 6.0, -a / 3.0);
+    }
+    let (sin, cos) = libm::sincos(a);
+    let sinc = sin / a;
+    (sinc, (cos - sinc) / a)
+}
