@@ -70,8 +70,8 @@ fn one_bad_log_is_named_and_the_others_are_done() {
     }
     workplace.command("ingest", "batch", &[]).expect(1).says(&[
         "none of the 3 logs could be ingested",
-        "one.mcap is no MCAP log",
-        "two.mcap is no MCAP log",
+        "one.mcap is empty",
+        "two.mcap is empty",
     ]);
 }
 

@@ -83,7 +83,7 @@ fn ground_truth(log: &Path) -> Trajectory {
                 y_m: number(28),
                 heading_rad: 2.0 * number(60).atan2(number(68)),
             };
-            StampedPose { stamp_ns: word(4) * 1_000_000_000 + word(8), pose }
+            StampedPose::new(word(4) * 1_000_000_000 + word(8), pose)
         })
         .collect();
     Trajectory::new(poses).0

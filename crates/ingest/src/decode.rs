@@ -82,6 +82,8 @@ pub(crate) struct Reader<'a> {
 /// What one piece of the log holds.
 #[derive(Default)]
 pub(crate) struct Decoded {
+    /// Number of the file it is of.
+    pub(crate) file: usize,
     pub(crate) packets: Packets,
     pub(crate) scans: Vec<Scan>,
     pub(crate) n_sorted_clouds: u64,
@@ -92,7 +94,7 @@ pub(crate) struct Decoded {
 impl Reader<'_> {
     pub(crate) fn decode(&self, from: &FilePiece<'_>, buffer: &mut Buffer) -> Decoded {
         let FilePiece { file, log, piece, .. } = *from;
-        let mut decoded = Decoded::default();
+        let mut decoded = Decoded { file, ..Decoded::default() };
         let lost = chunk::messages(log.bytes(), piece, buffer, |header, data| {
             let channel = header.channel_id;
             if let Some(source) = self.lidar.source(file, channel)

@@ -4,13 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use dataset::{Dropped, Scan, StampedPose, Trajectory};
-use messages::hdl32e::LASERS;
+use messages::hdl32e::{BLOCKS, LASERS};
 use rayon::prelude::*;
 
 use crate::Ingested;
 use crate::decode::Decoded;
 use crate::error::IngestError;
-use crate::options::LidarOptions;
+use crate::options::{Clock, LidarOptions};
 use crate::order::Sequencer;
 use crate::ring::RingPacket;
 use crate::sensor::{self, Laser, OtherSensor};
@@ -19,16 +19,22 @@ use crate::turn::{ScanMaker, Turn};
 use crate::turns::{Ends, MARKED_HOLE_DEG, TurnCutter};
 
 /// Packets looked at to tell the sensor model.
-const PACKETS_TO_IDENTIFY: usize = 200;
+pub(crate) const PACKETS_TO_IDENTIFY: usize = 200;
 /// Packets of another layout that are no accident, where there are none of the right one.
 const FOREIGN_PACKETS: u64 = 3;
 
 /// Puts together what the pieces hold.
 pub(crate) struct Joiner {
     laser: Laser,
+    options: LidarOptions,
     sequencer: Sequencer,
     cutter: TurnCutter,
     maker: ScanMaker,
+    /// The file that is being joined.
+    file: usize,
+    /// Packets of it that are no later than those of the files before are there twice \[ns\].
+    file_from_ns: i64,
+    newest_ns: i64,
     first_packets: Vec<RingPacket>,
     foreign: BTreeMap<&'static str, u64>,
     poses: Vec<StampedPose>,
@@ -47,9 +53,13 @@ impl Joiner {
     pub(crate) fn new(options: &LidarOptions, laser: Laser, dropped: Dropped) -> Self {
         Self {
             laser,
+            options: options.clone(),
             sequencer: Sequencer::default(),
             cutter: TurnCutter::new(options, laser),
             maker: ScanMaker::new(options, laser),
+            file: 0,
+            file_from_ns: i64::MIN,
+            newest_ns: i64::MIN,
             first_packets: Vec::new(),
             foreign: BTreeMap::new(),
             poses: Vec::new(),
@@ -72,7 +82,16 @@ impl Joiner {
         let mut turns = Vec::new();
         let mut scans = Vec::new();
         for piece in decoded {
+            if self.file != piece.file {
+                self.file = piece.file;
+                self.file_from_ns = self.newest_ns;
+            }
             for packet in &piece.packets.packets {
+                if packet.end_ns <= self.file_from_ns {
+                    self.dropped.add("packets that are in two files of the drive", 1);
+                    continue;
+                }
+                self.newest_ns = self.newest_ns.max(packet.end_ns);
                 if self.first_packets.len() < PACKETS_TO_IDENTIFY {
                     self.first_packets.push(*packet);
                 }
@@ -149,6 +168,15 @@ impl Joiner {
         })
     }
 
+    /// Whether the device clock stands still though it is to give the time.
+    pub(crate) fn lacks_clock(&self) -> bool {
+        let [first, .., last] = self.first_packets.as_slice() else { return false };
+        self.options.clock != Clock::Host
+            && self.first_packets.len() == PACKETS_TO_IDENTIFY
+            && self.first_packets.iter().all(|packet| packet.device_us == first.device_us)
+            && first.azimuth != last.azimuth
+    }
+
     /// Refuses a log that gives no scan, or none with a return.
     fn check_scans(&self, path: &Path, topic: String, ends: &Ends) -> Result<(), IngestError> {
         let path = path.to_owned();
@@ -187,6 +215,21 @@ impl Joiner {
                 "{} packets missing; {} scans have a hole of more than {MARKED_HOLE_DEG} deg (hole_deg)",
                 ends.n_missing_packets, self.n_marked
             ));
+        }
+        if ends.n_clock_jumps > 0 {
+            notes.push(format!(
+                "the device clock jumps {} times, alone: nothing is lost for it",
+                ends.n_clock_jumps
+            ));
+        }
+        if let (n @ 1.., largest_s) = self.cutter.stamp_steps() {
+            notes.push(format!(
+                "the stamps step {n} times against the device clock, by up to {largest_s:.2} s: scans and poses may be that far apart there"
+            ));
+        }
+        let n_packets = self.n_firings / BLOCKS as u64;
+        if self.options.clock == Clock::Host && n_packets < 2 * ends.n_same_stamp {
+            notes.push("packets of a message have one stamp, so that scans may be late by its time: set `ingest.lidar.clock` to \"device\"".to_owned());
         }
         if self.sequencer.n_late > 0 {
             notes

@@ -39,6 +39,7 @@ use rayon::prelude::*;
 pub use error::IngestError;
 pub use log::{Channel, Contents, Log};
 pub use messages::MessageType;
+pub use messages::hdl32e::HORIZONTAL_LASER;
 pub use options::{Clock, LidarOptions, OptionError, Options, PoseOptions};
 pub use survey::{
     ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,
@@ -137,6 +138,9 @@ pub fn ingest<E: From<IngestError> + Send>(
                 evidence: other.evidence,
             }
             .into());
+        }
+        if joiner.lacks_clock() {
+            return Err(IngestError::StillClock { path: drive.path(), topic: lidar.name }.into());
         }
         decoded = next_decoded;
         forget(window, &progress);

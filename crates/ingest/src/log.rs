@@ -91,9 +91,12 @@ impl Log {
         // the system ends this one; a log that is still being written is not for batch work.
         let bytes = unsafe { Mmap::map(&file) }.map_err(failed)?;
         if !bytes.starts_with(mcap::MAGIC) {
+            let path = path.to_owned();
             let first = bytes.iter().take(8).map(|b| format!("{b:02x}")).collect::<Vec<_>>();
-            let found = if first.is_empty() { "nothing".to_owned() } else { first.join(" ") };
-            return Err(IngestError::NotMcap { path: path.to_owned(), found });
+            return Err(match first.is_empty() {
+                true => IngestError::Empty { path },
+                false => IngestError::NotMcap { path, found: first.join(" ") },
+            });
         }
         // Advice is a hint; without it the log is read all the same.
         let _ = bytes.advise(Advice::Sequential);

@@ -134,22 +134,21 @@ impl<'a> Drive<'a> {
             topic.notes.dedup();
             return Ok(topic);
         }
-        let (path, topics) = (self.path(), self.suitable(types));
+        let (path, remedy) = (self.path(), self.remedy(key, types));
         Err(match unfit.first() {
-            None => IngestError::NoTopic { path, topic: topic.name, key, topics },
+            None => IngestError::NoTopic { path, topic: topic.name, remedy },
             Some(channel) => IngestError::WrongType {
                 path,
                 topic: topic.name,
-                key,
                 found: channel.describe(),
                 expected: expected(types),
-                topics,
+                remedy,
             },
         })
     }
 
-    /// Topics that would do, or else all of them, with their types.
-    fn suitable(&self, types: &[MessageType]) -> String {
+    /// To which topics an option can be set, or else which topics there are.
+    fn remedy(&self, key: &str, types: &[MessageType]) -> String {
         let channels = || self.channels().map(|(_, _, channel)| channel);
         let list = |fits: &dyn Fn(&Channel) -> bool| {
             let fitting: BTreeSet<String> = channels()
@@ -163,10 +162,13 @@ impl<'a> Drive<'a> {
         };
         match list(&fits) {
             none if none.is_empty() => match list(&|_| true) {
-                none if none.is_empty() => "none would do; the log has no topic at all".to_owned(),
+                none if none.is_empty() => match self.dropped() {
+                    whole if whole.is_empty() => "it has no topic at all".to_owned(),
+                    broken => format!("it has no topic that can be read ({broken})"),
+                },
                 all => format!("none would do; the log has {all}"),
             },
-            some => some,
+            some => format!("set `{key}` to one of: {some}"),
         }
     }
 

@@ -29,6 +29,8 @@ pub(crate) struct Turn {
     /// When the first firing of the laser happened \[ns\].
     pub(crate) stamp_ns: i64,
     pub(crate) firings: Vec<Firing>,
+    /// The farthest azimuth of a firing, in its counts.
+    pub(crate) reached: u32,
     /// Sum of the steps from each firing to where the next is due \[0.01 deg\].
     pub(crate) swept: u64,
     /// Azimuth passed without a packet \[0.01 deg\], up to the next firing there is.
