@@ -1,0 +1,111 @@
+//! The same measurements in every encoding, written by the libraries of others
+//! (`tests/peers/encodings.py`), give the same scans and poses; skipped where those are absent.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use crate::support::{Finished, Workplace, python_with, root, shared_data};
+
+const MODULES: &str =
+    "mcap, mcap_protobuf, foxglove_schemas_protobuf, rosbags, numpy, pyarrow, velodyne_decoder";
+
+/// A group of logs, ingested with the same options.
+struct Group {
+    name: &'static str,
+    options: &'static [&'static str],
+    /// The ring that the scans are of; of clouds.
+    ring: &'static str,
+    code: i32,
+}
+
+const CLOUDS: &str = "ingest.lidar.topic=/velodyne_points";
+const SCANS: &str = "ingest.lidar.topic=/scan";
+const POSES: &str = "ingest.pose.topic=/pose";
+
+#[rustfmt::skip]
+const GROUPS: [Group; 7] = [
+    Group { name: "packets", options: &[], ring: "23", code: 0 },
+    Group { name: "lossy", options: &[], ring: "23", code: 3 },
+    Group { name: "clouds", options: &[CLOUDS], ring: "23", code: 0 },
+    Group { name: "clouds", options: &[CLOUDS, "ingest.lidar.ring=23"], ring: "23", code: 0 },
+    Group { name: "clouds", options: &[CLOUDS, "ingest.lidar.elevation_deg=-9.33"], ring: "16", code: 0 },
+    Group { name: "planar", options: &[SCANS, POSES], ring: "", code: 0 },
+    Group { name: "bare", options: &[SCANS, POSES], ring: "", code: 0 },
+];
+
+#[test]
+fn every_encoding_gives_the_same() {
+    let Some(data) = shared_data() else { return };
+    let Some(python) = python_with(MODULES) else { return };
+    let workplace = Workplace::new("");
+    let logs = workplace.path("logs");
+    let script = |args: &[&Path]| {
+        let output = Command::new(&python)
+            .arg(root().join("tests/peers/encodings.py"))
+            .args(args)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{said}\n{}", String::from_utf8_lossy(&output.stderr));
+        print!("{said}");
+    };
+    script(&[Path::new("write"), &data, &logs]);
+    let reference = logs.join("packets/reference.mcap");
+    ingest(&workplace, "reference", &[reference.display().to_string()], &[]).expect(0);
+    let table = workplace.path("reference/scans/reference.parquet");
+    fs::copy(table, logs.join("reference.parquet")).unwrap();
+
+    for (k, group) in GROUPS.iter().enumerate() {
+        let out = k.to_string();
+        let of_group = files(&logs.join(group.name));
+        let finished = ingest(&workplace, &out, &of_group, group.options).expect(group.code);
+        check_what_is_said(group.name, &finished);
+        let [compare, name, ring] = ["compare", group.name, group.ring].map(Path::new);
+        let run = workplace.path(&out);
+        match group.ring {
+            "" => script(&[compare, &logs, name, &run]),
+            _ => script(&[compare, &logs, name, &run, ring]),
+        }
+    }
+}
+
+fn ingest(workplace: &Workplace, out: &str, logs: &[String], options: &[&str]) -> Finished {
+    let logs = format!("ingest.logs={logs:?}");
+    let sets = [logs.as_str()].into_iter().chain(options.iter().copied());
+    let args: Vec<&str> = sets.flat_map(|set| ["--set", set]).collect();
+    workplace.command("ingest", out, &args)
+}
+
+fn files(folder: &Path) -> Vec<String> {
+    let mut files: Vec<_> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path().display().to_string())
+        .collect();
+    files.sort();
+    files
+}
+
+/// A line of stdout is a log's: what had to be guessed or put right is told there; what was lost
+/// is summed up on stderr.
+fn check_what_is_said(group: &str, finished: &Finished) {
+    for line in finished.stdout.lines() {
+        let is_bare = line.contains("-schema-none:");
+        assert_eq!(is_bare, line.contains("has no schema: its messages were read as"), "{line}");
+        let is_late = line.contains("shuffled-") || line.contains("all-");
+        assert_eq!(is_late, line.contains("packets came late and were put in order"), "{line}");
+    }
+    let n_bare = finished.stdout.matches("-schema-none:").count();
+    assert_eq!(n_bare > 0, ["packets", "clouds", "bare"].contains(&group), "{group}");
+    if group == "lossy" {
+        // Of 18 logs six have 72 packets twice, six have 10 position packets and six have both,
+        // where every seventh packet that comes twice is once a position packet: 72 and 11.
+        let expected = [
+            "864 packets that are there twice",
+            "126 packets without the layout of an HDL-32E data packet",
+        ];
+        for text in expected {
+            assert!(finished.stderr.contains(text), "{}", finished.stderr);
+        }
+    }
+}
