@@ -42,6 +42,7 @@ fn every_encoding_gives_the_same() {
     let logs = workplace.path("logs");
     let script = |args: &[&Path]| {
         let output = Command::new(&python)
+            .arg("-B") // leaves no bytecode beside the scripts
             .arg(root().join("tests/peers/encodings.py"))
             .args(args)
             .output()

@@ -232,8 +232,8 @@ def scan_of(turn, ring):
     """What the points say of a ring: the stamp of its first point [ns], x and y [m]."""
     of_ring = turn.reshape(-1)[turn.reshape(-1)["ring"] == ring]
     x, y, z = (of_ring[name].astype(float) for name in "xyz")
-    range_m = np.sqrt(x * x + y * y + z * z)
-    keep = (range_m >= RANGE_MIN_M) & (range_m <= RANGE_MAX_M)
+    range_m = np.sqrt(x * x + y * y + z * z).astype("f4")
+    keep = (range_m >= np.float32(RANGE_MIN_M)) & (range_m <= np.float32(RANGE_MAX_M))
     return {"ns": of_ring["ns"][0], "x": of_ring["x"][keep], "y": of_ring["y"][keep]}
 
 

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
-use dataset::{FULL_RING_DEG, RangeLimits, Scan};
+use dataset::{FULL_RING_DEG, Scan};
 use messages::{Column, MessageError, PointCloud, Source, read_point_cloud};
 
 use crate::options::LidarOptions;
@@ -42,12 +42,9 @@ struct Time<'a> {
 impl<'a> Fields<'a> {
     fn of(cloud: &'a PointCloud<'_>) -> messages::Result<Self> {
         let column = |name: &str| {
-            cloud.column(name).ok_or_else(|| MessageError::Malformed {
-                message: "a point cloud",
-                detail: format!(
-                    "no field `{name}`, of which a scan is made; there are {}",
-                    cloud.fields.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ")
-                ),
+            cloud.column(name).ok_or_else(|| MessageError::NoField {
+                field: name.to_owned(),
+                found: cloud.fields.iter().map(|field| field.name.clone()).collect(),
             })
         };
         // velodyne_pointcloud: `time`, seconds from the stamp; Ouster: `t`, nanoseconds from the
@@ -192,9 +189,10 @@ pub(crate) fn scan(
         // Where the turn was cut this ring had no return; another may have.
         swept = swept.max(widest_sweep_rad(&fields));
     }
-    let limits = RangeLimits { min_m: options.range_min_m, max_m: options.range_max_m };
+    // Compared as f32, which clouds are made of, so that a point at a limit is within it.
+    let limits = options.range_min_m as f32..=options.range_max_m as f32;
     let side = if options.upside_down { -1.0 } else { 1.0 };
-    let kept = points.iter().filter(|(_, [_, _, range])| limits.contains(*range));
+    let kept = points.iter().filter(|(_, [_, _, range])| limits.contains(&(*range as f32)));
     let (x_m, y_m) = kept.map(|(_, [x, y, _])| (*x as f32, (side * y) as f32)).unzip();
     Ok((
         Scan {
