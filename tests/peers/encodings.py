@@ -241,7 +241,9 @@ def write_clouds(packets, folder, expected):
     parts = turns(packets)
     rows = [(of, "", encoding, "full") for of in LAYOUTS for encoding in ROS]
     rows += [(of, "", encoding, "full") for of in ["velodyne", "nuscenes"] for encoding in OTHERS]
+    rows += [("velodyne", "", encoding, "none") for encoding in OTHERS]
     for encoding in ROS:
+        rows += [("velodyne", "-stamped-at-end", encoding, "full")]
         rows += [("padded", order, encoding, "full") for order in ["-by-ring", "-by-firing"]]
         rows += [("velodyne", "", encoding, schema) for schema in SCHEMAS]
     for of, order, encoding, schema in rows:
@@ -252,7 +254,7 @@ def write_clouds(packets, folder, expected):
                 turn = organised(turn)
             elif order == "-by-firing":
                 turn = organised(turn)[np.argsort(LASER)].T
-            start_ns = int(turn["ns"].min())
+            start_ns = int(turn["ns"].max() if order == "-stamped-at-end" else turn["ns"].min())
             messages.append(cloud_message(cloud(turn, layout(spec), start_ns), start_ns, encoding))
             for ring, of_ring in scans.items():
                 scan = scan_of(turn, ring)
@@ -352,7 +354,9 @@ def write_planar(data, folder, expected):
     stamped = "geometry_msgs/msg/PoseStamped"
     of_ros = [stamped, "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry"]
     rows = [("planar", encoding, name, "full") for encoding in [*ROS, BIG] for name in of_ros]
-    rows += [("planar", encoding, "foxglove.PoseInFrame", "full") for encoding in OTHERS]
+    for encoding in OTHERS:
+        rows += [("planar", encoding, "foxglove.PoseInFrame", "full")]
+        rows += [("bare", encoding, "foxglove.PoseInFrame", "none")]
     for encoding in ROS:
         rows += [("planar", encoding, stamped, schema) for schema in ["empty", "partial"]]
         rows += [("bare", encoding, name, "none") for name in of_ros]

@@ -292,6 +292,54 @@ fn points_in_no_order_are_sorted_and_that_is_told() {
     assert!(ingested.dropped.is_empty());
 }
 
+#[test]
+fn clouds_without_returns_at_the_start_do_not_hide_the_rings() {
+    let mut clouds = vec![Vec::new(); 12];
+    // Then the horizontal beam sees nothing for a while.
+    let slanted: Vec<Point> = turn(&RINGS).into_iter().filter(|(_, ring)| *ring != 1).collect();
+    clouds.extend(vec![slanted; 12]);
+    clouds.push(turn(&RINGS));
+    let (found, _) = ingest(&cloud_log(&clouds), default()).unwrap();
+    assert_eq!(found.iter().map(Scan::len).collect::<Vec<_>>(), [vec![0; 24], vec![360]].concat());
+}
+
+#[test]
+fn point_times_of_another_clock_are_not_believed() {
+    // Since start-up, since another day, in nanoseconds; then 50 ms after the stamp.
+    let note = "1 clouds have point times more than 1 s from their stamp; the stamp was taken";
+    for (seconds, after_ns) in [(0.05, 0), (1.4e9, 0), (1.44e18, 0), (1.44e9 + 0.05, 50_000_000)] {
+        let mut data = Vec::new();
+        for ([x, y, z], ring) in turn(&RINGS) {
+            [x, y, z].iter().for_each(|v| data.extend(v.to_le_bytes()));
+            data.extend(u32::from(ring).to_le_bytes());
+            data.extend(f64::to_le_bytes(seconds));
+        }
+        let field = |name: &str, offset, kind| PointField { name: name.to_owned(), offset, kind };
+        let cloud = PointCloud {
+            stamp_ns: START_NS,
+            width: 1080,
+            height: 1,
+            point_step: 24,
+            row_step: 24 * 1080,
+            big_endian: false,
+            fields: vec![
+                field("x", 0, Scalar::F32),
+                field("y", 4, Scalar::F32),
+                field("z", 8, Scalar::F32),
+                field("ring", 12, Scalar::U16),
+                field("timestamp", 16, Scalar::F64),
+            ],
+            data: Cow::Owned(data),
+        };
+        let log = [cloud_entry(ros::write_point_cloud2(Encoding::Cdr, "velodyne", &cloud))];
+        let (found, ingested) = ingest(&log, default()).unwrap();
+        // Seconds since the epoch are told to 240 ns by an f64.
+        let error_ns = found[0].stamp_ns - START_NS - after_ns;
+        assert!(error_ns.abs() <= 240, "{seconds}: {error_ns} ns");
+        assert_eq!(ingested.notes, if after_ns == 0 { vec![note] } else { vec![] });
+    }
+}
+
 // Returns ----------------------------------------------------------------------------------------
 
 /// Two blocks for each firing: `last` \[2 mm\] with intensity 50 and `strongest` with 90.
