@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crate::support::{Finished, Workplace, python_with, root, shared_data};
+use crate::support::{Finished, Workplace, loopboost, python_with, root, shared_data};
 
 const MODULES: &str =
     "mcap, mcap_protobuf, foxglove_schemas_protobuf, rosbags, numpy, pyarrow, velodyne_decoder";
@@ -62,6 +62,7 @@ fn every_encoding_gives_the_same() {
         let of_group = files(&logs.join(group.name));
         let finished = ingest(&workplace, &out, &of_group, group.options).expect(group.code);
         check_what_is_said(group.name, &finished);
+        check_inspect(group.name, &of_group);
         let [compare, name, ring] = ["compare", group.name, group.ring].map(Path::new);
         let run = workplace.path(&out);
         match group.ring {
@@ -87,6 +88,16 @@ fn files(folder: &Path) -> Vec<String> {
     files
 }
 
+/// `inspect` finds what `ingest` can read: a lidar in every log, poses where the log has some.
+fn check_inspect(group: &str, logs: &[String]) {
+    for log in logs {
+        let told = loopboost(&["inspect", log]).stdout;
+        assert!(told.contains("a pipeline that would fit"), "{told}");
+        let has_poses = ["planar", "bare"].contains(&group);
+        assert_eq!(has_poses, told.contains("pose.topic = \"/pose\""), "{told}");
+    }
+}
+
 /// A line of stdout is a log's: what had to be guessed or put right is told there; what was lost
 /// is summed up on stderr.
 fn check_what_is_said(group: &str, finished: &Finished) {
@@ -108,5 +119,27 @@ fn check_what_is_said(group: &str, finished: &Finished) {
         for text in expected {
             assert!(finished.stderr.contains(text), "{}", finished.stderr);
         }
+    }
+}
+
+/// `docs/sensors.md` claims nothing without a test: `file::function`, of `tests/` or, with a crate
+/// before it, of the crate's.
+#[test]
+fn the_tests_that_the_sensors_page_names_are_there() {
+    let page = fs::read_to_string(root().join("docs/sensors.md")).unwrap();
+    let named = page.split('`').skip(1).step_by(2).filter_map(|code| code.split_once("::"));
+    let mut n_named = 0;
+    for (file, function) in named.filter(|(_, function)| !function.is_empty()) {
+        let path = match file.split_once('/') {
+            Some((krate, file)) => format!("crates/{krate}/tests/{file}.rs"),
+            None => format!("tests/{file}.rs"),
+        };
+        let text = fs::read_to_string(root().join(&path)).unwrap_or_else(|_| panic!("no {path}"));
+        assert!(text.contains(&format!("#[test]\nfn {function}() {{")), "no {function} in {path}");
+        n_named += 1;
+    }
+    assert!(0 < n_named);
+    for row in page.lines().filter(|line| line.starts_with("| ") && !line.ends_with("| test |")) {
+        assert!(row.contains("::"), "without a test: {row}");
     }
 }

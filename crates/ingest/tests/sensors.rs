@@ -65,11 +65,10 @@ fn packets_log(packets: &[Stamped]) -> Vec<Entry> {
 
 type Found = Result<(Vec<Scan>, Ingested), IngestError>;
 
-fn ingest(entries: &[Entry], lidar: LidarOptions) -> Found {
-    let options =
-        Options { lidar: LidarOptions { topic: entries[0].0.to_owned(), ..lidar }, pose: None };
-    options.lidar.check().unwrap();
-    ingest_bytes(&write(entries, small_chunks()), &options)
+fn ingest(entries: &[Entry], mut lidar: LidarOptions) -> Found {
+    lidar.topic = entries[0].0.to_owned();
+    lidar.check().unwrap();
+    ingest_bytes(&write(entries, small_chunks()), &Options { lidar, pose: None })
 }
 
 fn scans(packets: &[Stamped], lidar: LidarOptions) -> (Vec<Scan>, Ingested) {
@@ -213,36 +212,38 @@ fn turn(elevations_deg: &[f64]) -> Vec<Point> {
     (0..360).flat_map(of_step).collect()
 }
 
-fn cloud_with(points: &[Point], names: &[&str]) -> Vec<u8> {
-    let field = |(k, name): (usize, &&str)| PointField {
-        name: (*name).to_owned(),
-        offset: 4 * k,
-        kind: if *name == "ring" { Scalar::U16 } else { Scalar::F32 },
-    };
+const FIELDS: [(&str, Scalar); 4] =
+    [("x", Scalar::F32), ("y", Scalar::F32), ("z", Scalar::F32), ("ring", Scalar::U16)];
+
+/// A cloud whose points consist of x, y, z, ring and a time, under the names of `fields`.
+fn cloud(points: &[Point], fields: &[(&str, Scalar)], time: f64) -> Entry {
     let mut data = Vec::new();
     for ([x, y, z], ring) in points {
         [x, y, z].iter().for_each(|v| data.extend(v.to_le_bytes()));
         data.extend(u32::from(*ring).to_le_bytes());
+        data.extend(time.to_le_bytes());
     }
+    let field = |(k, &(name, kind)): (usize, &(&str, Scalar))| PointField {
+        name: name.to_owned(),
+        offset: 4 * k,
+        kind,
+    };
     let cloud = PointCloud {
         stamp_ns: START_NS,
         width: points.len(),
         height: 1,
-        point_step: 16,
-        row_step: 16 * points.len(),
+        point_step: 24,
+        row_step: 24 * points.len(),
         big_endian: false,
-        fields: names.iter().enumerate().map(field).collect(),
+        fields: fields.iter().enumerate().map(field).collect(),
         data: Cow::Owned(data),
     };
-    ros::write_point_cloud2(Encoding::Cdr, "velodyne", &cloud)
-}
-
-fn cloud_entry(data: Vec<u8>) -> Entry {
+    let data = ros::write_point_cloud2(Encoding::Cdr, "velodyne", &cloud);
     ("/points", "sensor_msgs/msg/PointCloud2", "cdr", data)
 }
 
 fn cloud_log(clouds: &[Vec<Point>]) -> Vec<Entry> {
-    clouds.iter().map(|points| cloud_entry(cloud_with(points, &["x", "y", "z", "ring"]))).collect()
+    clouds.iter().map(|points| cloud(points, &FIELDS, 0.0)).collect()
 }
 
 #[test]
@@ -258,9 +259,21 @@ fn a_cloud_gives_its_horizontal_ring() {
     assert!(close(found[0].x_m[0], 10.0), "its share in the plane is its x");
 }
 
+/// As drivers make them that cut by number of packets: from 40 deg on, and to 60 deg of the next.
+#[test]
+fn a_cloud_of_more_or_less_than_a_turn_is_taken_as_it_is() {
+    let whole = turn(&RINGS);
+    let less = whole[40 * RINGS.len()..].to_vec();
+    let more = [&whole[..], &whole[..61 * RINGS.len()]].concat();
+    let (found, _) = ingest(&cloud_log(&[less, more]), default()).unwrap();
+    assert_eq!(found.iter().map(Scan::len).collect::<Vec<_>>(), [320, 421]);
+    assert!(close(found[0].coverage_deg, 319.0) && !found[0].is_ring());
+    assert!(close(found[1].coverage_deg, 420.0) && found[1].is_ring());
+}
+
 #[test]
 fn a_cloud_without_a_ring_names_the_fields_there_are() {
-    let bare = cloud_entry(cloud_with(&turn(&RINGS), &["x", "y", "z", "intensity"]));
+    let bare = cloud(&turn(&RINGS), &[&FIELDS[..3], &[("intensity", Scalar::F32)]].concat(), 0.0);
     let reason = "messages of /points that do not decode as PointCloud2 (no field `ring`; there are x, y, z, intensity)";
     says(
         ingest(std::slice::from_ref(&bare), default()),
@@ -281,7 +294,7 @@ fn points_in_no_order_are_sorted_and_that_is_told() {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         shuffled.swap(k, (state >> 33) as usize % (k + 1));
     }
-    let (expected, _) = ingest(&cloud_log(&[in_order.clone()]), default()).unwrap();
+    let (expected, _) = ingest(&cloud_log(std::slice::from_ref(&in_order)), default()).unwrap();
     let (found, ingested) = ingest(&cloud_log(&[in_order, shuffled]), default()).unwrap();
     assert_eq!(found[0], expected[0]);
     assert_eq!(found[1], expected[0]);
@@ -308,30 +321,8 @@ fn point_times_of_another_clock_are_not_believed() {
     // Since start-up, since another day, in nanoseconds; then 50 ms after the stamp.
     let note = "1 clouds have point times more than 1 s from their stamp; the stamp was taken";
     for (seconds, after_ns) in [(0.05, 0), (1.4e9, 0), (1.44e18, 0), (1.44e9 + 0.05, 50_000_000)] {
-        let mut data = Vec::new();
-        for ([x, y, z], ring) in turn(&RINGS) {
-            [x, y, z].iter().for_each(|v| data.extend(v.to_le_bytes()));
-            data.extend(u32::from(ring).to_le_bytes());
-            data.extend(f64::to_le_bytes(seconds));
-        }
-        let field = |name: &str, offset, kind| PointField { name: name.to_owned(), offset, kind };
-        let cloud = PointCloud {
-            stamp_ns: START_NS,
-            width: 1080,
-            height: 1,
-            point_step: 24,
-            row_step: 24 * 1080,
-            big_endian: false,
-            fields: vec![
-                field("x", 0, Scalar::F32),
-                field("y", 4, Scalar::F32),
-                field("z", 8, Scalar::F32),
-                field("ring", 12, Scalar::U16),
-                field("timestamp", 16, Scalar::F64),
-            ],
-            data: Cow::Owned(data),
-        };
-        let log = [cloud_entry(ros::write_point_cloud2(Encoding::Cdr, "velodyne", &cloud))];
+        let fields = [&FIELDS[..], &[("timestamp", Scalar::F64)]].concat();
+        let log = [cloud(&turn(&RINGS), &fields, seconds)];
         let (found, ingested) = ingest(&log, default()).unwrap();
         // Seconds since the epoch are told to 240 ns by an f64.
         let error_ns = found[0].stamp_ns - START_NS - after_ns;

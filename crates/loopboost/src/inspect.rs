@@ -186,11 +186,11 @@ impl<'a> Fit<'a> {
     fn missing(&self) -> Vec<String> {
         let mut missing = Vec::new();
         if self.lidar.is_none() {
-            let names = ingest::LIDAR_TYPES.map(|t| t.name()).join(", ");
+            let names = ingest::LIDAR_TYPES.map(ingest::MessageType::name).join(", ");
             missing.push(format!("a topic that scans could come from, one of {names}"));
         }
         if self.pose.is_none() {
-            let names = ingest::POSE_TYPES.map(|t| t.name()).join(", ");
+            let names = ingest::POSE_TYPES.map(ingest::MessageType::name).join(", ");
             missing.push(format!(
                 "a topic with poses that move, one of {names}: scans can be ingested, but not labelled"
             ));
