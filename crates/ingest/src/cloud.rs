@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
-use dataset::{FULL_RING_DEG, RangeLimits, Scan};
+use dataset::{FULL_RING_DEG, Scan};
 use messages::{Column, MessageError, PointCloud, Source, read_point_cloud};
 
 use crate::options::LidarOptions;
@@ -20,6 +20,10 @@ const JITTER_RAD: f64 = 10.0 * PI / 180.0;
 /// Points in firing order pass the circle once; where they seem to pass it more often than this,
 /// they are in no order.
 const MAX_TURNS: f64 = 1.5;
+
+/// A point's time is no farther from the header's stamp than this \[ns\]: a turn takes 0.2 s at
+/// most, drivers stamp its start or its end.
+const MAX_FROM_HEADER_NS: i64 = 1_000_000_000;
 
 /// The fields of a cloud that are read.
 struct Fields<'a> {
@@ -42,12 +46,9 @@ struct Time<'a> {
 impl<'a> Fields<'a> {
     fn of(cloud: &'a PointCloud<'_>) -> messages::Result<Self> {
         let column = |name: &str| {
-            cloud.column(name).ok_or_else(|| MessageError::Malformed {
-                message: "a point cloud",
-                detail: format!(
-                    "no field `{name}`, of which a scan is made; there are {}",
-                    cloud.fields.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ")
-                ),
+            cloud.column(name).ok_or_else(|| MessageError::NoField {
+                field: name.to_owned(),
+                found: cloud.fields.iter().map(|field| field.name.clone()).collect(),
             })
         };
         // velodyne_pointcloud: `time`, seconds from the stamp; Ouster: `t`, nanoseconds from the
@@ -68,15 +69,14 @@ impl<'a> Fields<'a> {
         (range.is_finite() && 0.0 < range).then_some([x, y, range])
     }
 
-    /// When a point was measured \[ns since the epoch\].
-    fn stamp_ns(&self, header_ns: i64, k: usize) -> i64 {
-        let Some(time) = &self.time else { return header_ns };
-        let ns = time.column.get(k) * time.ns;
-        match (ns.is_finite(), time.absolute) {
-            (false, _) => header_ns,
-            (true, true) => ns as i64,
-            (true, false) => header_ns.saturating_add(ns as i64),
-        }
+    /// When a point was measured \[ns since the epoch\]; none where its time is of another clock
+    /// than the header's, or in other units.
+    fn stamp_ns(&self, header_ns: i64, k: usize) -> Option<i64> {
+        let Some(time) = &self.time else { return Some(header_ns) };
+        let ns = (time.column.get(k) * time.ns).round();
+        let stamp_ns = if time.absolute { ns as i64 } else { header_ns.saturating_add(ns as i64) };
+        let is_near = stamp_ns.saturating_sub(header_ns).saturating_abs() <= MAX_FROM_HEADER_NS;
+        (ns.is_finite() && is_near).then_some(stamp_ns)
     }
 }
 
@@ -89,10 +89,16 @@ pub(crate) struct Rings {
 
 /// Clouds that tell the elevations of the rings.
 const CLOUDS: usize = 10;
+/// Points that tell the elevation of a ring.
+const POINTS: usize = 10_000;
 
 impl Rings {
-    pub(crate) fn is_enough(&self) -> bool {
-        CLOUDS <= self.n_clouds
+    /// Whether the ring that the options ask for is among those of 10 clouds; or, where these have
+    /// no return of it, of 20, of 40 and so on.
+    pub(crate) fn is_enough(&self, options: &LidarOptions) -> bool {
+        let is_time =
+            self.n_clouds.is_multiple_of(CLOUDS) && (self.n_clouds / CLOUDS).is_power_of_two();
+        options.laser.is_some() || is_time && self.choose(options).is_ok()
     }
 
     /// Adds a cloud's points.
@@ -103,21 +109,22 @@ impl Rings {
         for k in 0..fields.ring.len() {
             let Some([x, y, range]) = fields.point(k) else { continue };
             if NEAR_M <= range {
-                let elevation = libm::atan2(fields.z.get(k), (x * x + y * y).sqrt()).to_degrees();
-                self.elevations_deg.entry(fields.ring.get(k) as u32).or_default().push(elevation);
+                let of_ring = self.elevations_deg.entry(fields.ring.get(k) as u32).or_default();
+                if of_ring.len() < POINTS {
+                    let elevation = libm::atan2(fields.z.get(k), (x * x + y * y).sqrt());
+                    of_ring.push(elevation.to_degrees());
+                }
             }
         }
         Ok(())
     }
 
-    /// Adds the points of other clouds, until there are enough.
+    /// Adds the points of other clouds.
     pub(crate) fn merge(&mut self, other: Self) {
-        if self.is_enough() {
-            return;
-        }
         self.n_clouds += other.n_clouds;
         for (ring, elevations) in other.elevations_deg {
-            self.elevations_deg.entry(ring).or_default().extend(elevations);
+            let of_ring = self.elevations_deg.entry(ring).or_default();
+            of_ring.extend(elevations.into_iter().take(POINTS - of_ring.len()));
         }
     }
 
@@ -164,13 +171,22 @@ impl Rings {
     }
 }
 
-/// A scan, and whether its points had to be sorted.
+/// A scan, and what was wrong with its cloud.
+pub(crate) struct FromCloud {
+    pub(crate) scan: Scan,
+    /// The points were in no order, and were sorted.
+    pub(crate) is_sorted: bool,
+    /// The points' times are of another clock; the header's stamp was taken.
+    pub(crate) is_of_other_clock: bool,
+}
+
+/// Takes the scan of one ring.
 pub(crate) fn scan(
     source: Source,
     data: &[u8],
     ring: u32,
     options: &LidarOptions,
-) -> messages::Result<(Scan, bool)> {
+) -> messages::Result<FromCloud> {
     let cloud = read_point_cloud(source, data)?;
     let fields = Fields::of(&cloud)?;
     let ring = f64::from(ring);
@@ -192,22 +208,23 @@ pub(crate) fn scan(
         // Where the turn was cut this ring had no return; another may have.
         swept = swept.max(widest_sweep_rad(&fields));
     }
-    let limits = RangeLimits { min_m: options.range_min_m, max_m: options.range_max_m };
+    // Compared as f32, which clouds are made of, so that a point at a limit is within it.
+    let limits = options.range_min_m as f32..=options.range_max_m as f32;
     let side = if options.upside_down { -1.0 } else { 1.0 };
-    let kept = points.iter().filter(|(_, [_, _, range])| limits.contains(*range));
+    let kept = points.iter().filter(|(_, [_, _, range])| limits.contains(&(*range as f32)));
     let (x_m, y_m) = kept.map(|(_, [x, y, _])| (*x as f32, (side * y) as f32)).unzip();
-    Ok((
-        Scan {
-            stamp_ns: of_ring
-                .first()
-                .map_or(cloud.stamp_ns, |&k| fields.stamp_ns(cloud.stamp_ns, k)),
-            x_m,
-            y_m,
-            coverage_deg: swept.to_degrees() as f32,
-            hole_deg: 0.0,
-        },
-        sort,
-    ))
+    let stamp_ns = match of_ring.first() {
+        Some(&k) => fields.stamp_ns(cloud.stamp_ns, k),
+        None => Some(cloud.stamp_ns),
+    };
+    let scan = Scan {
+        stamp_ns: stamp_ns.unwrap_or(cloud.stamp_ns),
+        x_m,
+        y_m,
+        coverage_deg: swept.to_degrees() as f32,
+        hole_deg: 0.0,
+    };
+    Ok(FromCloud { scan, is_sorted: sort, is_of_other_clock: stamp_ns.is_none() })
 }
 
 /// The widest sweep of any ring.

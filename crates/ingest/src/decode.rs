@@ -50,16 +50,17 @@ impl Beam {
         if lidar.any(is_cloud) {
             let mut rings = Rings::default();
             let mut buffer = Buffer::default();
+            let mut is_enough = false;
             for FilePiece { file, log, piece, .. } in drive.pieces_with(&[lidar]) {
-                if rings.is_enough() {
+                if is_enough {
                     break;
                 }
                 // What cannot be read is counted when the scans are made.
                 chunk::messages(log.bytes(), piece, &mut buffer, |header, data| {
                     if let Some(source) = lidar.source(file, header.channel_id).filter(is_cloud)
-                        && !rings.is_enough()
+                        && !is_enough
                     {
-                        let _ = rings.add(source, data);
+                        is_enough = rings.add(source, data).is_ok() && rings.is_enough(options);
                     }
                 });
             }
@@ -87,6 +88,7 @@ pub(crate) struct Decoded {
     pub(crate) packets: Packets,
     pub(crate) scans: Vec<Scan>,
     pub(crate) n_sorted_clouds: u64,
+    pub(crate) n_clouds_of_other_clock: u64,
     pub(crate) poses: Vec<StampedPose>,
     pub(crate) dropped: Dropped,
 }
@@ -131,9 +133,10 @@ impl Reader<'_> {
                 decoded.packets.add(source, data, self.beam.laser.index)?;
             }
             MessageType::PointCloud2 | MessageType::FoxglovePointCloud => {
-                let (scan, sorted) = cloud::scan(source, data, self.beam.ring, self.options)?;
-                decoded.scans.push(scan);
-                decoded.n_sorted_clouds += u64::from(sorted);
+                let of_cloud = cloud::scan(source, data, self.beam.ring, self.options)?;
+                decoded.scans.push(of_cloud.scan);
+                decoded.n_sorted_clouds += u64::from(of_cloud.is_sorted);
+                decoded.n_clouds_of_other_clock += u64::from(of_cloud.is_of_other_clock);
             }
             _ => decoded.scans.push(planar::scan(source, data, self.options)?),
         }

@@ -41,6 +41,7 @@ pub(crate) struct Joiner {
     dropped: Dropped,
     n_scans: usize,
     n_sorted_clouds: u64,
+    n_clouds_of_other_clock: u64,
     /// Scans with a hole of more than [`MARKED_HOLE_DEG`].
     n_marked: usize,
     n_firings: u64,
@@ -66,6 +67,7 @@ impl Joiner {
             dropped,
             n_scans: 0,
             n_sorted_clouds: 0,
+            n_clouds_of_other_clock: 0,
             n_marked: 0,
             n_firings: 0,
             n_returns: 0,
@@ -102,6 +104,7 @@ impl Joiner {
             }
             self.lasers_with_returns |= piece.packets.lasers_with_returns;
             self.n_sorted_clouds += piece.n_sorted_clouds;
+            self.n_clouds_of_other_clock += piece.n_clouds_of_other_clock;
             scans.extend(piece.scans);
             self.poses.extend(piece.poses);
             self.dropped.merge(piece.packets.dropped);
@@ -239,6 +242,12 @@ impl Joiner {
             notes.push(format!(
                 "{} clouds have their points in no firing order; they were sorted by azimuth",
                 self.n_sorted_clouds
+            ));
+        }
+        if self.n_clouds_of_other_clock > 0 {
+            notes.push(format!(
+                "{} clouds have point times more than 1 s from their stamp; the stamp was taken",
+                self.n_clouds_of_other_clock
             ));
         }
         let dead = !self.lasers_with_returns;

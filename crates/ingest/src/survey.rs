@@ -203,8 +203,10 @@ pub fn survey(logs: &[&Log], progress: impl Fn(u64)) -> Survey {
     };
     let mut topics: BTreeMap<TopicKey, Gathered> =
         drive.channels().map(|(_, _, channel)| (key_of(channel), Gathered::default())).collect();
-    let keys: BTreeMap<(usize, u16), TopicKey> =
-        drive.channels().map(|(file, id, channel)| ((file, id), key_of(channel))).collect();
+    let keys: Keys = drive
+        .channels()
+        .map(|(file, id, channel)| ((file, id), (key_of(channel), drive.source(file, id))))
+        .collect();
     let pieces = drive.pieces(|_, _| true);
     for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
         let found: Vec<(BTreeMap<TopicKey, Found>, Dropped)> = window
@@ -228,6 +230,8 @@ pub fn survey(logs: &[&Log], progress: impl Fn(u64)) -> Survey {
 
 /// Topic, schema and encoding.
 type TopicKey = (String, String, String);
+/// The topic of each file's channels, and how its messages are read.
+type Keys = BTreeMap<(usize, u16), (TopicKey, Option<Source>)>;
 
 fn key_of(channel: &Channel) -> TopicKey {
     (channel.topic.clone(), channel.schema.clone(), channel.message_encoding.clone())
@@ -237,6 +241,7 @@ fn key_of(channel: &Channel) -> TopicKey {
 #[derive(Default)]
 struct Found {
     n_messages: u64,
+    source: Option<Source>,
     /// Of the first and the last message.
     log_times: Option<(u64, u64)>,
     packets: Vec<RingPacket>,
@@ -252,7 +257,7 @@ struct Found {
 
 fn look(
     piece: &FilePiece<'_>,
-    keys: &BTreeMap<(usize, u16), TopicKey>,
+    keys: &Keys,
     buffer: &mut Buffer,
 ) -> (BTreeMap<TopicKey, Found>, Dropped) {
     let mut found: BTreeMap<TopicKey, Found> = BTreeMap::new();
@@ -260,9 +265,9 @@ fn look(
     let lost = chunk::messages(piece.log.bytes(), piece.piece, buffer, |header, data| {
         let time = header.log_time;
         match keys.get(&(piece.file, header.channel_id)) {
-            Some(key) => match found.get_mut(key) {
-                Some(found) => found.add(key, time, data),
-                None => found.entry(key.clone()).or_default().add(key, time, data),
+            Some((key, source)) => match found.get_mut(key) {
+                Some(found) => found.add(&key.0, *source, time, data),
+                None => found.entry(key.clone()).or_default().add(&key.0, *source, time, data),
             },
             None => strays.add("messages of channels that the log does not define", 1),
         }
@@ -272,11 +277,12 @@ fn look(
 }
 
 impl Found {
-    fn add(&mut self, (topic, schema, encoding): &TopicKey, time: u64, data: &[u8]) {
+    fn add(&mut self, topic: &str, source: Option<Source>, time: u64, data: &[u8]) {
         self.n_messages += 1;
         let (first, last) = self.log_times.unwrap_or((time, time));
         self.log_times = Some((first.min(time), last.max(time)));
-        let Some(source) = Source::new(schema, encoding) else { return };
+        let Some(source) = source else { return };
+        self.source = Some(source);
         let result = match source.message_type {
             MessageType::VelodyneScan | MessageType::VelodynePacket => {
                 self.add_packets(source, data)
@@ -412,6 +418,7 @@ impl Gathered {
     fn add(&mut self, found: Found) {
         let all = &mut self.found;
         all.n_messages += found.n_messages;
+        all.source = all.source.or(found.source);
         all.log_times = match (all.log_times, found.log_times) {
             (Some((a, b)), Some((c, d))) => Some((a.min(c), b.max(d))),
             (one, other) => one.or(other),
@@ -444,7 +451,8 @@ impl Gathered {
             (first < last && n_messages > 1)
                 .then(|| (n_messages - 1) as f64 / ((last - first) as f64 * 1e-9))
         });
-        let message_type = Source::new(&schema, &encoding).map(|source| source.message_type);
+        let source = Source::new(&schema, &encoding).or(self.found.source);
+        let message_type = source.map(|source| source.message_type);
         let content = match message_type {
             Some(MessageType::VelodyneScan | MessageType::VelodynePacket) => {
                 self.packets_survey(dropped).map_or(Content::Other, Content::Packets)
