@@ -181,7 +181,7 @@ fn what_is_no_log_fails() {
     workplace
         .command("run", "out", &["--set", "ingest.logs=[\"*.mcap\"]"])
         .expect(1)
-        .says(&["nothing matches `*.mcap`"]);
+        .says(&["there is no *.mcap in `*.mcap`"]);
 }
 
 #[test]

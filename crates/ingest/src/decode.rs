@@ -136,6 +136,8 @@ impl Reader<'_> {
                 let of_cloud = cloud::scan(source, data, self.beam.ring, self.options)?;
                 decoded.scans.push(of_cloud.scan);
                 decoded.n_sorted_clouds += u64::from(of_cloud.is_sorted);
+                let reason = "returns beyond one turn of their cloud";
+                decoded.dropped.add(reason, of_cloud.n_beyond);
                 decoded.n_clouds_of_other_clock += u64::from(of_cloud.is_of_other_clock);
             }
             _ => decoded.scans.push(planar::scan(source, data, self.options)?),

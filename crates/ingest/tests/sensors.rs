@@ -261,14 +261,19 @@ fn a_cloud_gives_its_horizontal_ring() {
 
 /// As drivers make them that cut by number of packets: from 40 deg on, and to 60 deg of the next.
 #[test]
-fn a_cloud_of_more_or_less_than_a_turn_is_taken_as_it_is() {
+fn of_a_cloud_of_more_than_a_turn_the_first_turn_is_taken() {
     let whole = turn(&RINGS);
     let less = whole[40 * RINGS.len()..].to_vec();
     let more = [&whole[..], &whole[..61 * RINGS.len()]].concat();
-    let (found, _) = ingest(&cloud_log(&[less, more]), default()).unwrap();
-    assert_eq!(found.iter().map(Scan::len).collect::<Vec<_>>(), [320, 421]);
+    let twice = [&whole[..], &whole[..]].concat();
+    let (found, ingested) = ingest(&cloud_log(&[less, more, twice]), default()).unwrap();
+    assert_eq!(found.iter().map(Scan::len).collect::<Vec<_>>(), [320, 360, 360]);
     assert!(close(found[0].coverage_deg, 319.0) && !found[0].is_ring());
-    assert!(close(found[1].coverage_deg, 420.0) && found[1].is_ring());
+    assert!(close(found[1].coverage_deg, 359.0) && found[1].is_ring());
+    assert_eq!(found[2], found[1]);
+    let reason = "returns beyond one turn of their cloud";
+    assert_eq!(reasons(&ingested.dropped), [(reason, 61 + 360)]);
+    assert!(ingested.notes.is_empty());
 }
 
 #[test]
@@ -540,7 +545,7 @@ fn a_turn_of_which_too_much_is_missing_is_dropped_and_counted() {
         let (found, ingested) = scans(&holed, LidarOptions { max_missing_share, ..default() });
         assert_eq!(found.len(), n_scans, "{n_missing} of {max_missing_share}");
         let share = max_missing_share * 100.0;
-        let reason = format!("turns of which more than {share} % of the packets are missing");
+        let reason = format!("turns of which more than {share} % are missing");
         let expected = if n_scans == 3 { vec![] } else { vec![(reason.as_str(), 1)] };
         assert_eq!(reasons(&ingested.dropped), expected);
     }
@@ -587,7 +592,7 @@ fn a_drive_split_into_files_gives_the_same_as_one() {
         reasons(&ingested.dropped),
         [
             ("turns of which every packet is missing", 1),
-            ("turns of which more than 25 % of the packets are missing", 2)
+            ("turns of which more than 25 % are missing", 2)
         ]
     );
 }
