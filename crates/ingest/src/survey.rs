@@ -301,7 +301,7 @@ impl Found {
     fn add_scan(&mut self, source: Source, data: &[u8]) -> messages::Result<()> {
         let scan = read_laser_scan(source, data)?;
         let n = scan.ranges.len();
-        let of_scans = self.scans.get_or_insert_with(|| ScansSurvey {
+        let of_scans = self.scans.get_or_insert(ScansSurvey {
             n_beams: (n, n),
             coverage_deg: 0.0,
             range_m: (scan.range_min, scan.range_max),
