@@ -22,7 +22,7 @@ use messages::Encoding;
 
 /// Memory that reading a log takes above the log's own size: the table of directions, 0.6 MB, and
 /// for each chunk that claims it 1 MB, of which several are read at once.
-const MEMORY_BYTES: usize = 64 << 20;
+const MEMORY_BYTES: usize = 32 << 20;
 
 struct Counting;
 
@@ -121,9 +121,22 @@ impl Intact {
         contents.iter().flat_map(of).collect()
     }
 
-    /// Whether nothing vouches for the messages: there are no chunks, or a chunk's checksum was made
-    /// 0, which means none.
+    /// Whether nothing vouches for some message: there are no chunks, bytes of a chunk were copied to
+    /// where they are a message outside any, the last chunk seems to go on behind the end of the
+    /// file, or a chunk's checksum was made 0, which means none.
     fn is_unchecked(&self, altered: &[u8]) -> bool {
+        let mut at = 8;
+        while let Some(&[opcode, ref length @ ..]) =
+            altered.get(at..).and_then(|rest| rest.first_chunk::<9>())
+        {
+            if opcode == op::MESSAGE {
+                return true;
+            }
+            at = at.saturating_add(9).saturating_add(u64::from_le_bytes(*length) as usize);
+            if opcode == op::CHUNK && altered.len() < at {
+                return true;
+            }
+        }
         self.crcs.is_empty()
             || self.crcs.iter().any(|crc| altered.get(crc.clone()) == Some(&[0; 4]))
     }

@@ -379,8 +379,12 @@ fn a_count_that_hides_packets_is_an_error() {
         for count in [0, 1, 2] {
             bytes[at] = count;
             let error = read_velodyne(source, &bytes).unwrap_err().to_string();
-            assert!(error.ends_with(&format!("it counts {count} packets and holds more")));
+            assert!(error.ends_with(&format!(" bytes follow its {count} packets")), "{error}");
         }
+        bytes[at] = 3;
+        // The name takes 3 KB of the packets, and what it leaves starts with no return: 0 packets.
+        bytes[12..14].copy_from_slice(&3000u16.to_le_bytes());
+        assert!(read_velodyne(source, &bytes).is_err());
     }
 }
 
