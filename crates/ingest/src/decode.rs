@@ -90,6 +90,10 @@ pub(crate) struct Decoded {
     pub(crate) n_sorted_clouds: u64,
     pub(crate) n_clouds_of_other_clock: u64,
     pub(crate) poses: Vec<StampedPose>,
+    /// Messages of the topics, whether they could be read or not.
+    pub(crate) n_messages: u64,
+    /// Whether a part of the piece itself could not be read.
+    pub(crate) is_damaged: bool,
     pub(crate) dropped: Dropped,
 }
 
@@ -99,9 +103,9 @@ impl Reader<'_> {
         let mut decoded = Decoded { file, ..Decoded::default() };
         let lost = chunk::messages(log.bytes(), piece, buffer, |header, data| {
             let channel = header.channel_id;
-            if let Some(source) = self.lidar.source(file, channel)
-                && let Err(error) = self.decode_lidar(source, data, &mut decoded)
-            {
+            if let Some(source) = self.lidar.source(file, channel) {
+                decoded.n_messages += 1;
+                let Err(error) = self.decode_lidar(source, data, &mut decoded) else { return };
                 let (topic, kind) = (&self.lidar.name, source.message_type.name());
                 let reason =
                     format!("messages of {topic} that do not decode as {kind} ({})", error.kind());
@@ -110,6 +114,7 @@ impl Reader<'_> {
             if let Some((topic, source)) =
                 self.pose.and_then(|t| Some((t, t.source(file, channel)?)))
             {
+                decoded.n_messages += 1;
                 match poses::stamped_pose(source, data) {
                     Ok(stamped) => decoded.poses.push(stamped),
                     Err(reason) => {
@@ -118,6 +123,7 @@ impl Reader<'_> {
                 }
             }
         });
+        decoded.is_damaged = !lost.is_empty();
         decoded.dropped.merge(lost);
         decoded
     }

@@ -47,6 +47,8 @@ pub(crate) struct Joiner {
     n_firings: u64,
     n_returns: u64,
     lasers_with_returns: u32,
+    n_messages: u64,
+    is_damaged: bool,
 }
 
 impl Joiner {
@@ -72,6 +74,8 @@ impl Joiner {
             n_firings: 0,
             n_returns: 0,
             lasers_with_returns: 0,
+            n_messages: 0,
+            is_damaged: false,
         }
     }
 
@@ -105,6 +109,8 @@ impl Joiner {
             self.lasers_with_returns |= piece.packets.lasers_with_returns;
             self.n_sorted_clouds += piece.n_sorted_clouds;
             self.n_clouds_of_other_clock += piece.n_clouds_of_other_clock;
+            self.n_messages += piece.n_messages;
+            self.is_damaged |= piece.is_damaged;
             scans.extend(piece.scans);
             self.poses.extend(piece.poses);
             self.dropped.merge(piece.packets.dropped);
@@ -132,6 +138,15 @@ impl Joiner {
                 Some(OtherSensor { name, evidence: "by the flags of its blocks".to_owned() })
             }
             _ => sensor::other_sensor(&self.first_packets),
+        }
+    }
+
+    /// Compares the messages there were with those that the log says it holds. What a damaged
+    /// piece held is lost with it, and counted as that piece.
+    pub(crate) fn expect_messages(&mut self, n: Option<u64>) {
+        if let (Some(n), false) = (n, self.is_damaged) {
+            let reason = "messages that the log's statistics count and its data lacks";
+            self.dropped.add(reason, n.saturating_sub(self.n_messages));
         }
     }
 

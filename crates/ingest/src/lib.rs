@@ -26,6 +26,7 @@ mod options;
 mod order;
 mod planar;
 mod poses;
+mod record;
 mod ring;
 mod sensor;
 mod survey;
@@ -145,6 +146,7 @@ pub fn ingest<E: From<IngestError> + Send>(
         decoded = next_decoded;
         forget(window, &progress);
     }
+    joiner.expect_messages(drive.n_messages(&topics));
     joiner.finish(&drive.path(), lidar, pose, take)
 }
 

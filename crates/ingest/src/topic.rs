@@ -177,6 +177,16 @@ impl<'a> Drive<'a> {
         }
     }
 
+    /// Messages of the topics, where the files say how many.
+    pub(crate) fn n_messages(&self, topics: &[&Topic]) -> Option<u64> {
+        let is_wanted = |file, id| topics.iter().any(|topic| topic.source(file, id).is_some());
+        let wanted = self.channels().filter(|&(file, id, _)| is_wanted(file, id));
+        // What the files claim may be more than can be counted.
+        wanted
+            .map(|(_, _, channel)| channel.n_messages)
+            .try_fold(0u64, |sum, n| Some(sum.saturating_add(n?)))
+    }
+
     /// The pieces that hold, or may hold, messages of the topics, in order.
     pub(crate) fn pieces_with(&self, topics: &[&Topic]) -> Vec<FilePiece<'_>> {
         self.pieces(|file, id| topics.iter().any(|topic| topic.source(file, id).is_some()))

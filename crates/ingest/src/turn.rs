@@ -1,6 +1,7 @@
 //! The firings of one turn -> a scan.
 
 use std::f64::consts::TAU;
+use std::sync::LazyLock;
 
 use dataset::{RangeLimits, Scan};
 use messages::hdl32e::{AZIMUTH_COUNTS, METRES_PER_COUNT, PERIODS_PER_BLOCK};
@@ -73,17 +74,20 @@ pub(crate) struct ScanMaker {
     /// Cosine of the beam's elevation: a range's share in the plane.
     horizontal: f64,
     /// Cosine and sine of each whole count of azimuth.
-    directions: Vec<[f64; 2]>,
+    directions: &'static [[f64; 2]],
 }
+
+/// The same for every log.
+static DIRECTIONS: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
+    let direction = |count| {
+        let (sin, cos) = libm::sincos(f64::from(count) * TAU / f64::from(AZIMUTH_COUNTS));
+        [cos, sin]
+    };
+    (0..AZIMUTH_COUNTS).map(direction).collect()
+});
 
 impl ScanMaker {
     pub(crate) fn new(options: &LidarOptions, laser: Laser) -> Self {
-        let directions = (0..AZIMUTH_COUNTS)
-            .map(|count| {
-                let (sin, cos) = libm::sincos(f64::from(count) * TAU / f64::from(AZIMUTH_COUNTS));
-                [cos, sin]
-            })
-            .collect();
         Self {
             limits: RangeLimits { min_m: options.range_min_m, max_m: options.range_max_m },
             side: if options.upside_down { 1.0 } else { -1.0 },
@@ -91,7 +95,7 @@ impl ScanMaker {
                 0.0 => 1.0,
                 deg => libm::cos(deg.to_radians()),
             },
-            directions,
+            directions: &DIRECTIONS,
         }
     }
 
