@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use dataset::{Dropped, Scan, StampedPose, Trajectory};
-use messages::hdl32e::{BLOCKS, LASERS};
+use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
 use crate::Ingested;
@@ -20,6 +20,11 @@ use crate::turns::{Ends, MARKED_HOLE_DEG, TurnCutter};
 
 /// Packets looked at to tell the sensor model.
 pub(crate) const PACKETS_TO_IDENTIFY: usize = 200;
+/// Packets that do not follow each other, one in so many, come from more than one sensor: a network
+/// loses packets in bursts and a clock jumps now and then.
+const MIXED: u64 = 10;
+const SEVERAL_SENSORS: &str =
+    "its packets do not follow each other, as if more than one sensor sent to the topic";
 /// Packets of another layout that are no accident, where there are none of the right one.
 const FOREIGN_PACKETS: u64 = 3;
 
@@ -37,7 +42,10 @@ pub(crate) struct Joiner {
     newest_ns: i64,
     first_packets: Vec<RingPacket>,
     foreign: BTreeMap<&'static str, u64>,
+    n_packets: u64,
     poses: Vec<StampedPose>,
+    /// Poses that are earlier than the one before in the log.
+    n_poses_back: u64,
     dropped: Dropped,
     n_scans: usize,
     n_sorted_clouds: u64,
@@ -65,7 +73,9 @@ impl Joiner {
             newest_ns: i64::MIN,
             first_packets: Vec::new(),
             foreign: BTreeMap::new(),
+            n_packets: 0,
             poses: Vec::new(),
+            n_poses_back: 0,
             dropped,
             n_scans: 0,
             n_sorted_clouds: 0,
@@ -112,7 +122,12 @@ impl Joiner {
             self.n_messages += piece.n_messages;
             self.is_damaged |= piece.is_damaged;
             scans.extend(piece.scans);
-            self.poses.extend(piece.poses);
+            for pose in piece.poses {
+                self.n_poses_back +=
+                    u64::from(self.poses.last().is_some_and(|last| pose.stamp_ns < last.stamp_ns));
+                self.poses.push(pose);
+            }
+            self.n_packets += piece.packets.packets.len() as u64;
             self.dropped.merge(piece.packets.dropped);
             self.dropped.merge(piece.dropped);
         }
@@ -164,13 +179,19 @@ impl Joiner {
         let mut scans = Vec::new();
         self.scan(&turns, &mut scans);
         take(scans)?;
-        self.dropped.merge(ends.dropped.clone());
-        self.dropped.merge(std::mem::take(&mut self.sequencer.dropped));
+        let mut of_packets = ends.dropped.clone();
+        of_packets.merge(std::mem::take(&mut self.sequencer.dropped));
+        let n_faults: u64 = of_packets.iter().map(|(_, n)| n).sum();
+        let is_mixed = self.n_packets < MIXED * n_faults;
+        self.dropped.merge(of_packets);
 
         let mut notes = lidar.notes.clone();
         notes.extend(pose.iter().flat_map(|pose| pose.notes.clone()));
         notes.extend(self.notes(&ends));
-        self.check_scans(path, lidar.name, &ends)?;
+        if is_mixed {
+            notes.push(SEVERAL_SENSORS.to_owned());
+        }
+        self.check_scans(path, lidar.name, &ends, is_mixed)?;
         let (trajectory, n_duplicates) = Trajectory::new(self.poses);
         self.dropped.add("poses with the stamp of another pose", n_duplicates as u64);
         if let (Some(pose), true) = (pose, trajectory.poses().is_empty()) {
@@ -196,15 +217,24 @@ impl Joiner {
     }
 
     /// Refuses a log that gives no scan, or none with a return.
-    fn check_scans(&self, path: &Path, topic: String, ends: &Ends) -> Result<(), IngestError> {
+    fn check_scans(
+        &self,
+        path: &Path,
+        topic: String,
+        ends: &Ends,
+        is_mixed: bool,
+    ) -> Result<(), IngestError> {
         let path = path.to_owned();
         if self.n_scans == 0 {
-            let detail = match self.dropped.is_empty() && ends.n_partial > 0 {
+            let mut detail = match self.dropped.is_empty() && ends.n_partial > 0 {
                 true => {
                     ": its packets span less than one turn between two cuts at azimuth 0".to_owned()
                 }
                 false => in_parentheses(&self.dropped),
             };
+            if is_mixed {
+                detail.push_str(&format!(": {SEVERAL_SENSORS}"));
+            }
             return Err(IngestError::NoScans { path, topic, detail });
         }
         if self.n_firings > 0 && self.n_returns == 0 {
@@ -245,8 +275,13 @@ impl Joiner {
                 "the stamps step {n} times against the device clock, by up to {largest_s:.2} s: scans and poses may be that far apart there"
             ));
         }
-        let n_packets = self.n_firings / BLOCKS as u64;
-        if self.options.clock == Clock::Host && n_packets < 2 * ends.n_same_stamp {
+        if self.n_poses_back > 0 {
+            notes.push(format!(
+                "{} poses are earlier than the one before in the log; they were put in order of time",
+                self.n_poses_back
+            ));
+        }
+        if self.options.clock == Clock::Host && self.n_packets < 2 * ends.n_same_stamp {
             notes.push("packets of a message have one stamp, so that scans may be late by its time: set `ingest.lidar.clock` to \"device\"".to_owned());
         }
         if self.sequencer.n_late > 0 {

@@ -149,7 +149,8 @@ impl Intact {
             Ok(found) => found,
             // A topic whose schema is lost has no type any more.
             Err(
-                IngestError::NotMcap { .. }
+                IngestError::Empty { .. }
+                | IngestError::NotMcap { .. }
                 | IngestError::NoTopic { .. }
                 | IngestError::WrongType { .. }
                 | IngestError::NoScans { .. }

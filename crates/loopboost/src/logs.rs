@@ -102,25 +102,24 @@ fn in_folder(folder: &Path, depth: usize) -> Result<Vec<LogFile>> {
     let is_log = |path: &PathBuf| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mcap"));
     let mut files: Vec<PathBuf> = files.into_iter().filter(is_log).collect();
 
+    // The name of `.` or `..` is not in the path.
+    let name: Arc<str> = file_name(&folder.canonicalize().with_context(failed)?).into();
     let mut drives = Vec::new();
     if let Some(listed) = files_of_bag(folder)? {
         files.retain(|file| !listed.contains(file));
         let (there, missing): (Vec<_>, Vec<_>) =
             listed.into_iter().partition(|path| path.is_file());
         if !there.is_empty() {
-            drives.push(LogFile { name: "".into(), paths: in_time(there), missing });
+            drives.push(LogFile { name: name.clone(), paths: in_time(there), missing });
         }
-    }
-    drives.extend(join(files));
-    for drive in &mut drives {
-        drive.name = stem(&drive.paths[0]).into();
-    }
-    if let [one] = drives.as_mut_slice()
-        && one.paths.len() + one.missing.len() > 1
-    {
-        // The name of `.` or `..` is not in the path.
-        let full = folder.canonicalize().with_context(failed)?;
-        one.name = file_name(&full).into();
+        drives.extend(join(files));
+    } else {
+        drives.extend(join(files));
+        if let [one] = drives.as_mut_slice()
+            && one.paths.len() > 1
+        {
+            one.name = name;
+        }
     }
     // By name, as a folder is listed.
     drives.sort_by(|a, b| a.paths.cmp(&b.paths));
@@ -221,7 +220,7 @@ fn join(files: Vec<PathBuf>) -> Vec<LogFile> {
         .map(|first| {
             let chain = std::iter::successors(Some(first), |file| successor.get(file).copied());
             let paths = chain.map(|file| files[file].clone()).collect();
-            LogFile { name: "".into(), paths, missing: Vec::new() }
+            LogFile { paths, ..LogFile::of(files[first].clone()) }
         })
         .collect()
 }
