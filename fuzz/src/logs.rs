@@ -43,7 +43,7 @@ fn options(choice: u8) -> Options {
         _ => {}
     }
     lidar.upside_down = choice & 16 != 0;
-    let pose = (choice & 32 == 0).then(|| PoseOptions { topic: POSE.to_owned() });
+    let pose = (choice & 32 == 0).then(|| PoseOptions::of_topic(POSE));
     Options { lidar, pose }
 }
 

@@ -1,16 +1,17 @@
 //! One piece of a log -> the packets, scans and poses in it.
 
-use dataset::{Dropped, Scan, StampedPose};
+use dataset::{Dropped, Scan};
 use messages::{MessageType, Source};
 
 use crate::chunk::{self, Buffer};
 use crate::cloud::{self, Rings};
 use crate::error::IngestError;
-use crate::options::LidarOptions;
+use crate::motion::Motion;
+use crate::options::{LidarOptions, Options};
+use crate::planar;
 use crate::ring::Packets;
 use crate::sensor::Laser;
 use crate::topic::{Drive, FilePiece, Topic};
-use crate::{planar, poses};
 
 /// What of the lidar makes the scan.
 #[derive(Debug, Clone, Copy)]
@@ -75,9 +76,10 @@ impl Beam {
 /// Reads pieces, several at once.
 pub(crate) struct Reader<'a> {
     pub(crate) lidar: &'a Topic,
-    pub(crate) pose: Option<&'a Topic>,
+    /// Topics of poses, or of what they are made from.
+    pub(crate) of_pose: &'a [&'a Topic],
     pub(crate) beam: Beam,
-    pub(crate) options: &'a LidarOptions,
+    pub(crate) options: &'a Options,
 }
 
 /// What one piece of the log holds.
@@ -89,7 +91,7 @@ pub(crate) struct Decoded {
     pub(crate) scans: Vec<Scan>,
     pub(crate) n_sorted_clouds: u64,
     pub(crate) n_clouds_of_other_clock: u64,
-    pub(crate) poses: Vec<StampedPose>,
+    pub(crate) motion: Motion,
     /// Messages of the topics, whether they could be read or not.
     pub(crate) n_messages: u64,
     /// Whether a part of the piece itself could not be read.
@@ -105,21 +107,20 @@ impl Reader<'_> {
             let channel = header.channel_id;
             if let Some(source) = self.lidar.source(file, channel) {
                 decoded.n_messages += 1;
-                let Err(error) = self.decode_lidar(source, data, &mut decoded) else { return };
-                let (topic, kind) = (&self.lidar.name, source.message_type.name());
-                let reason =
-                    format!("messages of {topic} that do not decode as {kind} ({})", error.kind());
-                decoded.dropped.add(reason, 1);
+                if let Err(error) = self.decode_lidar(source, data, &mut decoded) {
+                    let (topic, kind) = (&self.lidar.name, source.message_type.name());
+                    let why = error.kind();
+                    let reason =
+                        format!("messages of {topic} that do not decode as {kind} ({why})");
+                    decoded.dropped.add(reason, 1);
+                }
             }
-            if let Some((topic, source)) =
-                self.pose.and_then(|t| Some((t, t.source(file, channel)?)))
-            {
+            let Some(options) = &self.options.pose else { return };
+            for topic in self.of_pose {
+                let Some(source) = topic.source(file, channel) else { continue };
                 decoded.n_messages += 1;
-                match poses::stamped_pose(source, data) {
-                    Ok(stamped) => decoded.poses.push(stamped),
-                    Err(reason) => {
-                        decoded.dropped.add(format!("messages of {} {reason}", topic.name), 1);
-                    }
+                if let Err(reason) = decoded.motion.add(source, data, options) {
+                    decoded.dropped.add(format!("messages of {} {reason}", topic.name), 1);
                 }
             }
         });
@@ -139,14 +140,14 @@ impl Reader<'_> {
                 decoded.packets.add(source, data, self.beam.laser.index)?;
             }
             MessageType::PointCloud2 | MessageType::FoxglovePointCloud => {
-                let of_cloud = cloud::scan(source, data, self.beam.ring, self.options)?;
+                let of_cloud = cloud::scan(source, data, self.beam.ring, &self.options.lidar)?;
                 decoded.scans.push(of_cloud.scan);
                 decoded.n_sorted_clouds += u64::from(of_cloud.is_sorted);
                 let reason = "returns beyond one turn of their cloud";
                 decoded.dropped.add(reason, of_cloud.n_beyond);
                 decoded.n_clouds_of_other_clock += u64::from(of_cloud.is_of_other_clock);
             }
-            _ => decoded.scans.push(planar::scan(source, data, self.options)?),
+            _ => decoded.scans.push(planar::scan(source, data, &self.options.lidar)?),
         }
         Ok(())
     }

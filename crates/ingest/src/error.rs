@@ -65,6 +65,16 @@ pub enum IngestError {
         /// What was dropped, or nothing.
         detail: String,
     },
+    /// No poses come of the wheels.
+    #[error("{path}: no poses can be made of topic `{topic}`")]
+    Fuse {
+        /// The log.
+        path: PathBuf,
+        /// The topic of the wheels.
+        topic: String,
+        /// Why.
+        source: fuse::FuseError,
+    },
     /// Not one scan came out.
     #[error(
         "{path}: topic `{topic}` gives no scan{detail}; set `ingest.lidar.topic` to another topic, or take the log out of `ingest.logs`"

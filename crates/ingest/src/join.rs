@@ -3,14 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use dataset::{Dropped, Scan, StampedPose, Trajectory};
+use dataset::{Dropped, Scan, Trajectory};
 use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
 use crate::Ingested;
 use crate::decode::Decoded;
 use crate::error::IngestError;
-use crate::options::{Clock, LidarOptions};
+use crate::motion::{Motion, PoseTopics};
+use crate::options::{Clock, LidarOptions, PoseOptions};
 use crate::order::Sequencer;
 use crate::ring::RingPacket;
 use crate::sensor::{self, Laser, OtherSensor};
@@ -43,7 +44,7 @@ pub(crate) struct Joiner {
     first_packets: Vec<RingPacket>,
     foreign: BTreeMap<&'static str, u64>,
     n_packets: u64,
-    poses: Vec<StampedPose>,
+    motion: Motion,
     /// Poses that are earlier than the one before in the log.
     n_poses_back: u64,
     dropped: Dropped,
@@ -74,7 +75,7 @@ impl Joiner {
             first_packets: Vec::new(),
             foreign: BTreeMap::new(),
             n_packets: 0,
-            poses: Vec::new(),
+            motion: Motion::default(),
             n_poses_back: 0,
             dropped,
             n_scans: 0,
@@ -122,11 +123,7 @@ impl Joiner {
             self.n_messages += piece.n_messages;
             self.is_damaged |= piece.is_damaged;
             scans.extend(piece.scans);
-            for pose in piece.poses {
-                self.n_poses_back +=
-                    u64::from(self.poses.last().is_some_and(|last| pose.stamp_ns < last.stamp_ns));
-                self.poses.push(pose);
-            }
+            self.n_poses_back += self.motion.extend(piece.motion);
             self.n_packets += piece.packets.packets.len() as u64;
             self.dropped.merge(piece.packets.dropped);
             self.dropped.merge(piece.dropped);
@@ -170,7 +167,7 @@ impl Joiner {
         mut self,
         path: &Path,
         lidar: Topic,
-        pose: Option<Topic>,
+        pose: Option<(PoseTopics, &PoseOptions)>,
         mut take: impl FnMut(Vec<Scan>) -> Result<(), E>,
     ) -> Result<Ingested, E> {
         let mut turns = Vec::new();
@@ -186,18 +183,20 @@ impl Joiner {
         self.dropped.merge(of_packets);
 
         let mut notes = lidar.notes.clone();
-        notes.extend(pose.iter().flat_map(|pose| pose.notes.clone()));
+        let pose_topics = pose.iter().flat_map(|(topics, _)| topics.all());
+        notes.extend(pose_topics.flat_map(|topic| topic.notes.clone()));
         notes.extend(self.notes(&ends));
         if is_mixed {
             notes.push(SEVERAL_SENSORS.to_owned());
         }
         self.check_scans(path, lidar.name, &ends, is_mixed)?;
-        let (trajectory, n_duplicates) = Trajectory::new(self.poses);
-        self.dropped.add("poses with the stamp of another pose", n_duplicates as u64);
-        if let (Some(pose), true) = (pose, trajectory.poses().is_empty()) {
-            let (path, detail) = (path.to_owned(), in_parentheses(&self.dropped));
-            return Err(IngestError::NoPoses { path, topic: pose.name, detail }.into());
-        }
+        let dropped = &mut self.dropped;
+        let trajectory = match pose {
+            Some((topics, options)) => {
+                self.motion.trajectory(path, &topics, options, dropped, &mut notes)?
+            }
+            None => Trajectory::default(),
+        };
         Ok(Ingested {
             trajectory,
             n_scans: self.n_scans,

@@ -29,7 +29,7 @@ pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, S
 
 /// Heading of a unit quaternion (x, y, z, w): the angle about z of the rotation sequence
 /// z-y'-x'' (REP 103; Diebel 2006, "Representing Attitude", eq. 290).
-fn yaw_rad([x, y, z, w]: [f64; 4]) -> f64 {
+pub(crate) fn yaw_rad([x, y, z, w]: [f64; 4]) -> f64 {
     libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 }
 

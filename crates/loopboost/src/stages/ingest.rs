@@ -2,8 +2,9 @@ use anyhow::{Result, anyhow};
 use dataset::Dropped;
 use dataset::tables::scans::write_scans;
 use dataset::tables::{Provenance, write_poses};
-use ingest::{IngestError, Log, Options};
+use ingest::{IngestError, Log, Options, PoseOptions};
 
+use crate::config::{LogOptions, usage};
 use crate::logs::{LogFile, file_name};
 use crate::run::{Done, Run, Task, progress_bar};
 
@@ -15,6 +16,7 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let mut dropped = Dropped::default();
     let mut failed = Vec::new();
     let logs = run.logs()?;
+    check_frames(run, logs)?;
     for log in logs {
         if let Some(missing) = log.paths.iter().find(|path| !path.exists()) {
             let error = anyhow!(
@@ -58,6 +60,31 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
         dropped.add(format!("log left out of the run, `{}`: {error:#}", log.name), 1);
     }
     Ok(dropped)
+}
+
+/// Refuses logs of one site whose poses are not in the site's map frame: revisits between them would
+/// be made up.
+fn check_frames(run: &Run, logs: &[LogFile]) -> Result<()> {
+    let options = logs
+        .iter()
+        .map(|log| Ok((log, run.config.for_log(&log.name)?)))
+        .collect::<Result<Vec<_>>>()?;
+    for (log, own) in &options {
+        let is_own_frame = own.pose.as_ref().is_some_and(PoseOptions::is_own_frame);
+        let shares = |(other, of_other): &&(&LogFile, LogOptions)| {
+            other.name != log.name && own.site.is_some() && of_other.site == own.site
+        };
+        if let (true, Some((other, _))) = (is_own_frame, options.iter().find(shares)) {
+            return Err(usage(format!(
+                "poses of log `{}` are fused from wheels and start in a frame of their own, but its site `{}` is that of `{}` too; give each such log its [ingest.log.{}.pose.start], or take `site` away",
+                log.name,
+                own.site.as_deref().unwrap_or_default(),
+                other.name,
+                log.name
+            )));
+        }
+    }
+    Ok(())
 }
 
 fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done> {
