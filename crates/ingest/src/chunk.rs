@@ -15,9 +15,9 @@ use crate::record;
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
 
 /// What a chunk claims is believed up to this size, or up to so many times its compressed size;
-/// beyond, memory is taken as bytes come out. Logs of sensors shrink 2 to 5 times.
-const BELIEVED_BYTES: usize = 1 << 20;
-const BELIEVED_RATIO: usize = 16;
+/// beyond, memory is taken as bytes come out. Chunks of packets shrink up to 30 times.
+const BELIEVED_BYTES: usize = 8 << 20;
+const BELIEVED_RATIO: usize = 64;
 
 /// What one thread needs to decompress chunks, used again for each.
 #[derive(Default)]

@@ -21,7 +21,7 @@ use mcap::{Compression, WriteOptions};
 use messages::Encoding;
 
 /// Memory that reading a log takes above the log's own size: the table of directions, 0.6 MB, and
-/// for each chunk that claims it 1 MB, of which several are read at once.
+/// for each chunk that claims it up to 8 MB, of which a thread reads one at a time.
 const MEMORY_BYTES: usize = 32 << 20;
 
 struct Counting;
