@@ -214,7 +214,7 @@ pub fn write(entries: &[Entry], options: WriteOptions) -> Vec<u8> {
 pub fn options(lidar: &str, pose: Option<&str>) -> Options {
     Options {
         lidar: LidarOptions { topic: lidar.to_owned(), ..LidarOptions::default() },
-        pose: pose.map(|topic| PoseOptions::of_topic(topic)),
+        pose: pose.map(PoseOptions::of_topic),
     }
 }
 
