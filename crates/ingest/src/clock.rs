@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use messages::hdl32e::HOUR_US;
 use serde::{Deserialize, Serialize};
 
-use crate::order::device_gap_us;
+use crate::order::clock_gap_us;
 use crate::ring::RingPacket;
 
 /// Where the time of a scan comes from.
@@ -38,7 +38,7 @@ const HOUR_NS: i64 = HOUR_US as i64 * 1000;
 #[derive(Debug)]
 pub(crate) struct Stamper {
     clock: Clock,
-    last: Option<RingPacket>,
+    last_us: Option<u32>,
     /// Device time since the last reset \[ns\].
     device_ns: i64,
     /// Delays that can still be the least, ascending: device time and host minus device \[ns\].
@@ -47,7 +47,7 @@ pub(crate) struct Stamper {
 
 impl Stamper {
     pub(crate) fn new(clock: Clock) -> Self {
-        Self { clock, last: None, device_ns: 0, delays: VecDeque::new() }
+        Self { clock, last_us: None, device_ns: 0, delays: VecDeque::new() }
     }
 
     /// Forgets how the clocks stood: one of them has jumped.
@@ -66,10 +66,9 @@ impl Stamper {
     }
 
     fn device_time(&mut self, packet: &RingPacket) -> i64 {
-        if let Some(last) = &self.last {
-            self.device_ns += (device_gap_us(last, packet) * 1000.0) as i64;
+        if let Some(last_us) = self.last_us.replace(packet.device_us) {
+            self.device_ns += (clock_gap_us(last_us, packet.device_us) * 1000.0) as i64;
         }
-        self.last = Some(*packet);
         let delay = packet.end_ns - self.device_ns;
         while self.delays.back().is_some_and(|&(_, other)| delay <= other) {
             self.delays.pop_back();
@@ -89,7 +88,8 @@ impl Stamper {
 /// some are in time: the least delays of two seconds in a row differ by the drift of the clocks.
 #[derive(Debug, Default)]
 pub(crate) struct HostClock {
-    last: Option<RingPacket>,
+    /// The device clock at the last packet.
+    last_us: Option<u32>,
     /// Device time since the last reset \[ns\].
     device_ns: i64,
     /// Start of the second \[ns\], and the least of stamp minus device time in it.
@@ -114,8 +114,8 @@ impl HostClock {
 
     /// Takes the next packet, in order.
     pub(crate) fn push(&mut self, packet: &RingPacket) {
-        if let Some(last) = self.last.replace(*packet) {
-            let gap_us = device_gap_us(&last, packet);
+        if let Some(last_us) = self.last_us.replace(packet.device_us) {
+            let gap_us = clock_gap_us(last_us, packet.device_us);
             // A clock that stands still or jumps tells nothing.
             if gap_us <= 0.0 || 1e6 < gap_us {
                 self.reset();

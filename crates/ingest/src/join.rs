@@ -303,7 +303,7 @@ impl Joiner {
         if self.n_firings > 0 && dead != 0 {
             let n = LASERS - dead.count_ones() as usize;
             notes.push(format!(
-                "{n} of {LASERS} lasers have returns; none from {}",
+                "{n} of {LASERS} lasers seen to return; none seen from {}",
                 sensor::lasers(dead)
             ));
         }

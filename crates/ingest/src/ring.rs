@@ -72,12 +72,16 @@ impl RingPacket {
 #[derive(Debug, Default)]
 pub(crate) struct Packets {
     pub(crate) packets: Vec<RingPacket>,
-    /// Lasers that had a return, a bit each.
+    /// Lasers that had a return in the packets looked at, a bit each.
     pub(crate) lasers_with_returns: u32,
     /// Packets of other Velodyne models, by name.
     pub(crate) foreign: BTreeMap<&'static str, u64>,
     pub(crate) dropped: Dropped,
 }
+
+/// One packet in so many is looked at for the lasers that have returns: a number that no turn's
+/// packets are a multiple of, so that every part of the circle is seen.
+const LOOKED_AT: usize = 7;
 
 impl Packets {
     /// Adds the packets of one message; a packet that is none of an HDL-32E's is counted.
@@ -92,8 +96,10 @@ impl Packets {
         for (end_ns, bytes) in scan.packets() {
             match Packet::new(bytes) {
                 Ok(packet) => {
+                    if self.packets.len() % LOOKED_AT == 0 {
+                        self.lasers_with_returns |= packet.returns_of();
+                    }
                     self.packets.push(RingPacket::new(end_ns, &packet, laser));
-                    self.lasers_with_returns |= packet.returns_of();
                 }
                 Err(_) => {
                     if let Some(model) = hdl32e::foreign_layout(bytes) {

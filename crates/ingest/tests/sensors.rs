@@ -111,7 +111,7 @@ fn a_dead_laser_is_named_with_those_alive() {
     );
     let (found, ingested) = scans(&dead_11, default());
     assert_eq!((found.len(), ingested.dropped.is_empty()), (2, true));
-    assert_eq!(ingested.notes.last().unwrap(), "31 of 32 lasers have returns; none from 11");
+    assert_eq!(ingested.notes.last().unwrap(), "31 of 32 lasers seen to return; none seen from 11");
 }
 
 /// Of 10 m at elevation e, 10 cos e lie in the plane: cos 30.667 deg = 0.860149, cos 9.333 deg =
