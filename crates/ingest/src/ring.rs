@@ -96,7 +96,7 @@ impl Packets {
         for (end_ns, bytes) in scan.packets() {
             match Packet::new(bytes) {
                 Ok(packet) => {
-                    if self.packets.len() % LOOKED_AT == 0 {
+                    if self.packets.len().is_multiple_of(LOOKED_AT) {
                         self.lasers_with_returns |= packet.returns_of();
                     }
                     self.packets.push(RingPacket::new(end_ns, &packet, laser));

@@ -100,7 +100,7 @@ impl TurnCutter {
     pub(crate) fn push(&mut self, packet: &RingPacket, turns: &mut Vec<Turn>) {
         // A few packets of a second tell how the clocks stand.
         self.n_pushed += 1;
-        if self.n_pushed % HOST_CLOCK_EVERY == 0 {
+        if self.n_pushed.is_multiple_of(HOST_CLOCK_EVERY) {
             self.host.push(packet);
         }
         let due_ns = self.due_ns.saturating_add(packet.period_ns());
