@@ -26,21 +26,31 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
 }
 
 fn drive(run: &Run, campus: &Campus, k: usize, name: &str) -> Result<Done> {
-    let path = run.simulated_log(name);
-    let summary = write_atomically(&path, |mut out: BufWriter<File>| {
-        let summary =
-            simulate::write_drive(campus, k, &mut out).map_err(|e| WriteLog::Simulate(e.into()))?;
-        Ok::<_, WriteLog>((out, summary))
-    })
-    .map_err(|e| match e {
-        WriteLog::Simulate(e) => e.context(format!("cannot simulate {}", path.display())),
-        WriteLog::Table(e) => e.into(),
-    })?;
+    let paths = run.simulated_log(name);
+    let (mut turns, mut packets, mut length_m, mut duration_s) = (0, 0, 0.0, 0.0);
+    for (file, path) in paths.iter().enumerate() {
+        let summary = write_atomically(path, |mut out: BufWriter<File>| {
+            let summary = simulate::write_drive(campus, k, file as u32, &mut out)
+                .map_err(|e| WriteLog::Simulate(e.into()))?;
+            Ok::<_, WriteLog>((out, summary))
+        })
+        .map_err(|e| match e {
+            WriteLog::Simulate(e) => e.context(format!("cannot simulate {}", path.display())),
+            WriteLog::Table(e) => e.into(),
+        })?;
+        turns += summary.turns;
+        packets += summary.packets;
+        length_m += summary.length_m;
+        duration_s += summary.duration_s;
+    }
+    let files = match paths.len() {
+        1 => String::new(),
+        n => format!(" in {n} files"),
+    };
     let said = format!(
-        "{name}: {:.0} m in {:.0} s, {} turns, {} packets",
-        summary.length_m, summary.duration_s, summary.turns, summary.packets
+        "{name}: {length_m:.0} m in {duration_s:.0} s, {turns} turns, {packets} packets{files}"
     );
-    Ok(Done { outputs: vec![path], said: vec![said], ..Done::default() })
+    Ok(Done { outputs: paths, said: vec![said], ..Done::default() })
 }
 
 /// What can go wrong while a log is written.
