@@ -1,6 +1,7 @@
 //! A place and the drives through it.
 
 use crate::drive::Drive;
+use crate::map::Map;
 use crate::plane::Point;
 use crate::random::{Purpose, Random};
 use crate::site::Site;
@@ -28,6 +29,13 @@ impl Campus {
             n => Site::campus(n, &mut random),
         };
         Ok(Self::on_site(&site, options, seed))
+    }
+
+    /// Checks the options, then builds every drive on a map; `buildings` plays no part.
+    pub fn on_map(options: &Options, seed: u64, map: Map) -> Result<Self, SimulateError> {
+        options.check()?;
+        let mut random = Random::new(seed, Purpose::Plan, 0, 0);
+        Ok(Self::on_site(&Site::on_map(map, &mut random), options, seed))
     }
 
     fn on_site(site: &Site, options: &Options, seed: u64) -> Self {

@@ -5,7 +5,8 @@
 //!                                                                               └─► Wheels, ImuUnit, truth ┘
 //! ```
 //!
-//! [`Campus::new`] builds a place and a [`Drive`] through it for each log; [`write_drive`] writes a
+//! [`Campus::new`] builds a place and a [`Drive`] through it for each log ([`Campus::on_map`] takes
+//! the place from a [`Map`]); [`write_drive`] writes a
 //! drive's log; [`Drive::motion_at`] and [`Drive::surfaces`] tell the truth about it. The same
 //! options and seed give the same bytes, on any number of threads.
 //!
@@ -19,6 +20,7 @@ mod day;
 mod drive;
 mod error;
 mod log;
+mod map;
 mod options;
 mod path;
 mod people;
@@ -39,6 +41,7 @@ pub use log::{
     DriveSummary, IMU_TOPIC, PACKETS_TOPIC, POSE_PERIOD_NS, POSE_TOPIC, TF_STATIC_TOPIC, TF_TOPIC,
     WHEELS_TOPIC, write_drive,
 };
+pub use map::Map;
 pub use options::{Compression, Encoding, ImuOptions, Lasers, Options, WheelOptions};
 pub use plane::{Point, Segment};
 pub use robot::{IMU_PERIOD_NS, WHEELS, WHEELS_PERIOD_NS, readings};

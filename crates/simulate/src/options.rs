@@ -35,7 +35,7 @@ pub struct Options {
 
     /// Turns of the sensor per second, 5 to 20 \[Hz\]. Default: 10.
     pub spin_hz: f64,
-    /// Standard deviation of a range, normal \[m\]. Default: 0.005, as measured on a real sensor.
+    /// Standard deviation of a range, normal \[m\]. Default: 0.004, as measured on a real sensor.
     pub range_noise_m: f64,
     /// Share of returns that are lost at random, besides those that are lost on dark or slanted
     /// surfaces. Default: 0.005.
@@ -133,7 +133,7 @@ impl Default for Options {
             rocking_deg: 0.4,
             people: 12,
             spin_hz: 10.0,
-            range_noise_m: 0.005,
+            range_noise_m: 0.004,
             dropout: 0.005,
             mixed_pixels: 0.5,
             packet_loss: 0.0,

@@ -55,6 +55,8 @@ pub(crate) fn people_of_day(
     n_people: u32,
     random: &mut Random,
 ) -> Vec<Person> {
+    // Where there is no lane there are no people.
+    let n_people = if lanes.is_empty() { 0 } else { n_people };
     (0..n_people)
         .map(|_| {
             let (a, b) = lanes[random.index(lanes.len())];

@@ -89,6 +89,26 @@ impl Route {
         Self { lead, lap: points, waves: draw_waves(random), has_dock: true }
     }
 
+    /// Through given points, close to each other, over and over, a little to the right of them.
+    pub(crate) fn along(points: &[Point], spacing_m: f64, right_m: f64) -> Self {
+        let still = Wave { amplitude_m: 0.0, rate: 0.0, phase: 0.0 };
+        let smooth = smoothed(&thinned(points, spacing_m / 4.0), 4);
+        let even = thinned(&smooth, spacing_m);
+        let lap = (0..even.len())
+            .map(|k| {
+                let (before, after) =
+                    (even[(k + even.len() - 1) % even.len()], even[(k + 1) % even.len()]);
+                let way = after - before;
+                let left = match way.norm() {
+                    0.0 => Vector::zeros(),
+                    norm => Vector::new(-way.y, way.x) / norm,
+                };
+                (even[k] - left * right_m, left)
+            })
+            .collect();
+        Self { lead: Vec::new(), lap, waves: [still; 2], has_dock: false }
+    }
+
     /// Control point number `k`.
     pub(crate) fn control_point(&self, k: usize) -> Point {
         let (middle, left) = match self.lead.get(k) {
@@ -133,6 +153,28 @@ fn edge_every(a: Point, b: Point, spacing_m: f64) -> Vec<(Point, Vector)> {
         .map(|k| {
             let share = (k as f64 + 0.5) / n as f64;
             (a + edge * share, Vector::new(-forward.y, forward.x))
+        })
+        .collect()
+}
+
+/// Points at least so far from one another.
+fn thinned(points: &[Point], spacing_m: f64) -> Vec<Point> {
+    let mut thin: Vec<Point> = Vec::new();
+    for point in points {
+        if thin.last().is_none_or(|last| spacing_m <= (point - last).norm()) {
+            thin.push(*point);
+        }
+    }
+    thin
+}
+
+/// Means over so many points to either side, of a closed way.
+fn smoothed(points: &[Point], reach: usize) -> Vec<Point> {
+    let n = points.len();
+    (0..n)
+        .map(|k| {
+            let around = (0..=2 * reach).map(|d| points[(k + n * reach + d - reach) % n].coords);
+            Point::from(around.sum::<Vector>() / (2 * reach + 1) as f64)
         })
         .collect()
 }

@@ -27,9 +27,10 @@ use crate::{Lasers, Options};
 const STEP_ASIDE_M: f64 = 0.4;
 /// Packets per second that `velodyne_driver` assumes of an HDL-32E (its `driver.cc`).
 const DRIVER_PACKET_RATE_HZ: f64 = 1808.0;
-/// Standard deviation of the azimuth that a block reports: as on a real sensor, where steps of 15.0
-/// counts come as 14, 15 and 16 in the shares 18, 65 and 17 % \[0.01 deg\].
-const AZIMUTH_NOISE_COUNTS: f64 = 0.4;
+/// Standard deviation of the azimuth that a block reports, before it is rounded \[0.01 deg\]: as on
+/// a real sensor, where steps of 15.0 counts come as 14, 15 and 16 in the shares 18, 65 and 17 %, so
+/// that their variance is 0.35 = 2 (0.3^2 + 1/12).
+const AZIMUTH_NOISE_COUNTS: f64 = 0.3;
 /// Columns before the first block and after the last: by so many blocks at most a leaning base
 /// turns the bearing of a beam.
 const PADDING: usize = 48;

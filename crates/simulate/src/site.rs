@@ -1,4 +1,4 @@
-//! Where drives take place: a building that stands alone, or a campus.
+//! Where drives take place: a building that stands alone, a campus, or a map.
 //!
 //! ```text
 //!   +-------+ +---------+ +------+ +--------+      Buildings stand on both sides of a strip with
@@ -13,6 +13,7 @@
 //! ```
 
 use crate::day::{building_of_day, facades, round, turned};
+use crate::map::Map;
 use crate::plan::{Plan, Shape, corridors};
 use crate::plane::{Point, Rect, Segment, Vector};
 use crate::random::Random;
@@ -31,6 +32,9 @@ const CAR_M: (f64, f64) = (4.3, 1.8);
 const CABIN_M: (f64, f64) = (2.3, 1.6);
 /// A car from above the ground to the belt line, and from there to the roof \[m\].
 const CAR_HEIGHTS_M: (f64, f64, f64) = (0.18, 0.95, 1.45);
+/// What a map does not tell.
+const MAP_CEILING_M: f64 = 2.7;
+const MAP_REFLECTIVITY: f64 = 0.5;
 const BARK_REFLECTIVITY: f64 = 0.3;
 const LEAF_REFLECTIVITY: f64 = 0.5;
 
@@ -47,6 +51,7 @@ pub(crate) struct Site {
     /// Node by node around the lanes, from the western end, the northern lane first; none for a
     /// building that stands alone.
     ring: Vec<Stop>,
+    map: Option<Map>,
 }
 
 /// A node of the ring.
@@ -96,6 +101,20 @@ impl Site {
             fixed: Vec::new(),
             parking: Vec::new(),
             ring: Vec::new(),
+            map: None,
+        }
+    }
+
+    /// A map's walls, below one ceiling.
+    pub(crate) fn on_map(map: Map, random: &mut Random) -> Self {
+        let wall = |segment| Surface::solid(segment, (0.0, MAP_CEILING_M), MAP_REFLECTIVITY);
+        Self {
+            buildings: Vec::new(),
+            fixed: map.walls().into_iter().map(wall).collect(),
+            parking: Vec::new(),
+            lanes: map.lanes(random),
+            ring: Vec::new(),
+            map: Some(map),
         }
     }
 
@@ -108,6 +127,7 @@ impl Site {
             parking: Vec::new(),
             lanes: Vec::new(),
             ring: Vec::new(),
+            map: None,
         };
         let mut rows = [(Vec::new(), DOCK_M + 6.0), (Vec::new(), DOCK_M + 6.0)];
         for building in 0..n_buildings as usize {
@@ -206,6 +226,9 @@ impl Site {
             ceilings.push((placed.rect(&plan.building), plan.ceiling_m));
             ceilings.push((placed.rect(&plan.atrium), plan.atrium_ceiling_m));
         }
+        if let Some(map) = &self.map {
+            ceilings.push((map.extent(), MAP_CEILING_M));
+        }
         for &(at, angle) in &self.parking {
             let is_taken = random.chance(PARKED_SHARE);
             let shift = Vector::new(0.3 * random.normal(), 0.1 * random.normal());
@@ -231,6 +254,9 @@ impl Site {
     /// The way of log number `log`.
     pub(crate) fn route(&self, log: usize, random: &mut Random) -> Route {
         let is_clockwise = log % 2 == 1;
+        if let Some(map) = &self.map {
+            return map.route(is_clockwise, random);
+        }
         match self.ring.is_empty() {
             true => Route::in_building(&self.buildings[0].plan.nodes, is_clockwise, random),
             false => self.campus_route(log, is_clockwise, random),

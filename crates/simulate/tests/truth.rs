@@ -118,7 +118,7 @@ impl<'a> Index<'a> {
 }
 
 /// The packet rounds ranges to 2 mm (error up to 1 mm) and azimuths to 0.01 deg, and the azimuth is
-/// read with a deviation of 0.004 deg: five of those and the rounding are 0.025 deg, 4.4e-4 rad,
+/// read with a deviation of 0.003 deg: six of those and the rounding are 0.023 deg, 4e-4 rad,
 /// and the other lasers of a firing take the heading of its middle: 5e-5 rad.
 fn limit_m(range_m: f64) -> f64 {
     0.0015 + 5e-4 * range_m

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, anyhow};
 use dataset::Dropped;
 use dataset::tables::{TableError, write_atomically};
-use simulate::Campus;
+use simulate::{Campus, Map};
 
 use crate::run::{Done, Run, Task, progress_bar};
 
@@ -14,10 +14,21 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let options = run.config.simulate.as_ref().ok_or_else(|| {
         anyhow!("the pipeline has no [simulate] section: add one, or start with `ingest`")
     })?;
-    let campus = Campus::new(options, run.config.seed).context("[simulate]")?;
+    let seed = run.config.seed;
+    let (campus, inputs) = match &options.map {
+        None => (Campus::new(options, seed), Vec::new()),
+        Some(map) => {
+            let yaml = run.config.beside_pipeline(map);
+            let files = Map::files(&yaml).context("[simulate] map")?;
+            let map = Map::load(&yaml).context("[simulate] map")?;
+            (Campus::on_map(options, seed, map), files.to_vec())
+        }
+    };
+    let campus = campus.context("[simulate]")?;
     let progress = progress_bar(options.logs.len() as u64, "simulate".into(), false);
     for (k, name) in options.logs.iter().enumerate() {
-        let task = Task { stage: "simulate", log: Some(Arc::from(name.as_str())), inputs: vec![] };
+        let task =
+            Task { stage: "simulate", log: Some(Arc::from(name.as_str())), inputs: inputs.clone() };
         run.task(&task, |_| drive(run, &campus, k, name))?;
         progress.inc(1);
     }
