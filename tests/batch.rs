@@ -51,7 +51,7 @@ fn one_bad_log_is_named_and_the_others_are_done() {
         .expect(1)
         .says(&["bag.mcap is no MCAP log"]);
     let finished = workplace.command("ingest", "batch", &[]).expect(3);
-    let finished = finished.says(&["1 log left out of the run:", "bag.mcap is no MCAP log"]);
+    let finished = finished.says(&["1 log left out of the run, `bag`:", "bag.mcap is no MCAP log"]);
     assert!(finished.stdout.contains("one: "), "{}", finished.stdout);
     let names: Vec<String> = workplace.files("batch").into_keys().collect();
     for log in ["one", "two"] {
@@ -70,8 +70,8 @@ fn one_bad_log_is_named_and_the_others_are_done() {
     }
     workplace.command("ingest", "batch", &[]).expect(1).says(&[
         "none of the 3 logs could be ingested",
-        "one.mcap is no MCAP log",
-        "two.mcap is no MCAP log",
+        "one.mcap is empty",
+        "two.mcap is empty",
     ]);
 }
 
@@ -128,11 +128,44 @@ fn drives_of_one_folder_are_told_apart() {
     let finished = workplace.command("ingest", "apart", &[]).expect(0);
     assert!(finished.stdout.contains("one: ") && finished.stdout.contains("two: "));
     fs::create_dir(workplace.path("bag")).unwrap();
-    fs::write(workplace.path("bag/metadata.yaml"), "rosbag2_bagfile_information:\n").unwrap();
+    let metadata = "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n    - bag_0.mcap\n    - bag_1.mcap\n";
+    fs::write(workplace.path("bag/metadata.yaml"), metadata).unwrap();
     for (k, part) in split(&workplace.path("out/logs/one.mcap"), 2).into_iter().enumerate() {
         fs::write(workplace.path(&format!("bag/bag_{k}.mcap")), part).unwrap();
     }
     use_pipeline(&workplace, &BATCH.replace("\"logs\"", "\"bag\""));
     let finished = workplace.command("ingest", "bagged", &[]).expect(0);
     assert!(finished.stdout.contains("bag: ") && finished.stdout.contains("from 2 files"));
+    // A file that is listed and not there, and one that is empty, cost no more than themselves.
+    fs::remove_file(workplace.path("bag/bag_1.mcap")).unwrap();
+    let finished = workplace.command("ingest", "bagged", &[]).expect(3);
+    finished.says(&["files of the drive that metadata.yaml lists and that are not there"]);
+    fs::write(workplace.path("bag/bag_1.mcap"), "").unwrap();
+    let finished = workplace.command("ingest", "bagged", &[]).expect(3);
+    finished.says(&["files of the drive that cannot be read", "bag_1.mcap is empty"]);
+}
+
+/// Two robots that drive at the same time, with the same topics and split at the same moment: names
+/// tell whose file is whose.
+#[test]
+fn files_of_two_robots_are_not_mixed() {
+    let workplace = simulated();
+    fs::create_dir(workplace.path("logs")).unwrap();
+    for robot in ["A", "B"] {
+        for (k, part) in split(&workplace.path("out/logs/one.mcap"), 2).into_iter().enumerate() {
+            fs::write(workplace.path(&format!("logs/{robot}_{k}.mcap")), part).unwrap();
+        }
+    }
+    use_pipeline(&workplace, BATCH);
+    let finished = workplace.command("ingest", "robots", &[]).expect(0);
+    for says in ["A_0.mcap, A_1.mcap", "B_0.mcap, B_1.mcap"] {
+        assert!(finished.stdout.contains(says), "{}", finished.stdout);
+    }
+    // Where names do not tell, nothing is joined.
+    for (from, to) in [("A_0", "north"), ("A_1", "east"), ("B_0", "south"), ("B_1", "west")] {
+        let path = |name: &str| workplace.path(&format!("logs/{name}.mcap"));
+        fs::rename(path(from), path(to)).unwrap();
+    }
+    let finished = workplace.command("ingest", "apart", &[]).expect(0);
+    assert!(!finished.stdout.contains("files of one drive"), "{}", finished.stdout);
 }

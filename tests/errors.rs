@@ -135,6 +135,19 @@ fn a_wrong_topic_or_schema_fails() {
 }
 
 #[test]
+fn poses_of_a_frame_of_their_own_do_not_meet_those_of_another_log() {
+    let pipeline = "[ingest]\nlogs = [\"a.mcap\", \"b.mcap\"]\nsite = \"mit\"\npose = { wheels = \"/wheels\", track_m = 0.5 }\n";
+    workplace(pipeline)
+        .command("ingest", "out", &[])
+        .expect(2)
+        .says(&["start in a frame of their own", "[ingest.log.a.pose.start]"]);
+    workplace(&pipeline.replace(", track_m = 0.5", ""))
+        .command("ingest", "out", &[])
+        .expect(2)
+        .says(&["`wheels` without `track_m`"]);
+}
+
+#[test]
 fn no_poses_is_an_error_where_poses_are_needed() {
     let workplace = workplace(&PIPELINE.replace("pose.topic = \"/pose\"", ""));
     workplace.command("ingest", "out", &[]).expect(0);
@@ -181,7 +194,7 @@ fn what_is_no_log_fails() {
     workplace
         .command("run", "out", &["--set", "ingest.logs=[\"*.mcap\"]"])
         .expect(1)
-        .says(&["nothing matches `*.mcap`"]);
+        .says(&["there is no *.mcap in `*.mcap`"]);
 }
 
 #[test]

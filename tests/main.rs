@@ -1,6 +1,7 @@
 //! Whole-program tests: one binary, wired from `crates/loopboost`.
 
 mod batch;
+mod encodings;
 mod errors;
 mod import;
 mod real_logs;

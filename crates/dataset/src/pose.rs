@@ -1,4 +1,5 @@
 use std::f64::consts::{PI, TAU};
+use std::ops::Mul;
 
 /// A pose in the plane.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -22,6 +23,30 @@ impl Pose2 {
     pub fn heading_difference_rad(&self, other: &Self) -> f64 {
         wrap_angle(self.heading_rad - other.heading_rad).abs()
     }
+
+    /// Of `a_from_b`, `b_from_a`.
+    pub fn inverse(&self) -> Self {
+        let (sin, cos) = libm::sincos(self.heading_rad);
+        Self {
+            x_m: -cos * self.x_m - sin * self.y_m,
+            y_m: sin * self.x_m - cos * self.y_m,
+            heading_rad: wrap_angle(-self.heading_rad),
+        }
+    }
+}
+
+/// Chained: with `self` as `a_from_b` and the other as `b_from_c`, the product is `a_from_c`.
+impl Mul for Pose2 {
+    type Output = Self;
+
+    fn mul(self, next: Self) -> Self {
+        let (sin, cos) = libm::sincos(self.heading_rad);
+        Self {
+            x_m: self.x_m + cos * next.x_m - sin * next.y_m,
+            y_m: self.y_m + sin * next.x_m + cos * next.y_m,
+            heading_rad: wrap_angle(self.heading_rad + next.heading_rad),
+        }
+    }
 }
 
 /// An angle wrapped into (-pi, pi].
@@ -37,6 +62,16 @@ pub struct StampedPose {
     pub stamp_ns: i64,
     /// The pose in the site's map frame.
     pub pose: Pose2,
+    /// How well it is known, where that is known: the upper triangle of the covariance of x, y and
+    /// heading, row by row: xx, xy, xh, yy, yh, hh \[m^2, m rad, rad^2\].
+    pub covariance: Option<[f64; 6]>,
+}
+
+impl StampedPose {
+    /// Of a pose of which it is not known how well it is known.
+    pub fn new(stamp_ns: i64, pose: Pose2) -> Self {
+        Self { stamp_ns, pose, covariance: None }
+    }
 }
 
 /// Why there is no pose at a stamp.
@@ -111,10 +146,20 @@ mod tests {
     use super::*;
 
     fn at(stamp_ns: i64, x_m: f64, heading_deg: f64) -> StampedPose {
-        StampedPose {
-            stamp_ns,
-            pose: Pose2 { x_m, y_m: -x_m, heading_rad: heading_deg.to_radians() },
-        }
+        let heading_rad = heading_deg.to_radians();
+        StampedPose::new(stamp_ns, Pose2 { x_m, y_m: -x_m, heading_rad })
+    }
+
+    /// A quarter turn to the left at (1, 2), then 3 ahead and 1 to the left: (1 - 1, 2 + 3).
+    #[test]
+    fn poses_are_chained_and_turned_around() {
+        let a_from_b = Pose2 { x_m: 1.0, y_m: 2.0, heading_rad: PI / 2.0 };
+        let b_from_c = Pose2 { x_m: 3.0, y_m: 1.0, heading_rad: PI };
+        let a_from_c = a_from_b * b_from_c;
+        assert!(a_from_c.x_m.abs() < 1e-15 && (a_from_c.y_m - 5.0).abs() < 1e-15);
+        assert!((a_from_c.heading_rad + PI / 2.0).abs() < 1e-15);
+        let back = a_from_c * a_from_c.inverse();
+        assert!(back.distance_m(&Pose2::default()) < 1e-15 && back.heading_rad.abs() < 1e-15);
     }
 
     #[test]

@@ -123,6 +123,7 @@ fn nouns_survive() {
     let poses = (0..4).map(|k| StampedPose {
         stamp_ns: k,
         pose: Pose2 { x_m: 0.1 * k as f64, y_m: -1.0, heading_rad: 0.2 },
+        covariance: (k > 1).then_some([0.1, 0.2, 0.3, 0.4, 0.5, k as f64]),
     });
     let (trajectory, _) = Trajectory::new(poses.collect());
     write_poses(&at("poses"), &provenance(), "a", &trajectory).unwrap();

@@ -58,9 +58,15 @@ fn rows(path: &str) -> Result<Vec<Row>, Box<dyn Error>> {
 fn options(settings: &[String]) -> Result<Options, Box<dyn Error>> {
     let mut values: BTreeMap<String, serde_json::Value> =
         serde_json::from_value(serde_json::to_value(Options::default())?)?;
+    let mut track_m = 0.0;
     for setting in settings {
         let (key, value) = setting.split_once('=').ok_or("expected KEY=VALUE")?;
+        if key == "track_m" {
+            track_m = value.parse()?;
+            continue;
+        }
         values.insert(key.to_owned(), serde_json::from_str(value)?);
     }
-    Ok(serde_json::from_value(serde_json::to_value(values)?)?)
+    let options: Options = serde_json::from_value(serde_json::to_value(values)?)?;
+    Ok(Options { track_m, ..options })
 }

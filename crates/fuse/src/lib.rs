@@ -193,8 +193,8 @@ fn report(options: &Options, steps: &Steps, path: &Path, dropped: Dropped) -> Re
             .steps
             .iter()
             .filter(|step| is_counted(step.motion.is_still))
-            .map(|step| step.motion.dt)
-            .sum()
+            // From 0, since the sum of nothing is -0.
+            .fold(0.0, |secs, step| secs + step.motion.dt)
     };
     let duration_secs = steps_secs(&|_| true);
     let last = |state: usize| (path.last.mean[state], path.last.covariance[(state, state)].sqrt());

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 pub struct Options {
     /// Distance between the contact points of the left and the right wheel \[m\]; there is no
     /// default.
+    #[serde(skip)]
     pub track_m: f64,
     /// Deviation of the track, relative. The gyroscope tells the ratio of wheel scale to track
     /// and no more, so that this and `wheel_scale_std` decide which of the two an error of that

@@ -66,7 +66,7 @@ fn killian() -> Option<PathBuf> {
 fn to_scans_table(log: &Path, table: &Path, lidar: &str, pose: &str) -> usize {
     let options = Options {
         lidar: LidarOptions { topic: lidar.to_owned(), ..LidarOptions::default() },
-        pose: Some(PoseOptions { topic: pose.to_owned() }),
+        pose: Some(PoseOptions::of_topic(pose)),
     };
     let log = Log::open(log).expect("a log");
     write_scans(table, &Provenance::default(), "log", |writer| {

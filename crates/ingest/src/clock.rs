@@ -83,6 +83,66 @@ impl Stamper {
     }
 }
 
+/// Watches the stamps for steps against the device clock, such as a host makes that is set right.
+///
+/// Stamps are late by what network and host take, at times by much, but of the packets of a second
+/// some are in time: the least delays of two seconds in a row differ by the drift of the clocks.
+#[derive(Debug, Default)]
+pub(crate) struct HostClock {
+    last: Option<RingPacket>,
+    /// Device time since the last reset \[ns\].
+    device_ns: i64,
+    /// Start of the second \[ns\], and the least of stamp minus device time in it.
+    second: Option<(i64, i64)>,
+    /// The same of the second before.
+    least_before: Option<i64>,
+    pub(crate) n_steps: u64,
+    /// The largest of them \[s\].
+    pub(crate) largest_s: f64,
+}
+
+/// A step of the stamps is told from this on \[ns\].
+const STEP_NS: i64 = 50_000_000;
+const SECOND_NS: i64 = 1_000_000_000;
+
+impl HostClock {
+    /// Forgets how the clocks stood.
+    pub(crate) fn reset(&mut self) {
+        let Self { n_steps, largest_s, .. } = *self;
+        *self = Self { n_steps, largest_s, ..Self::default() };
+    }
+
+    /// Takes the next packet, in order.
+    pub(crate) fn push(&mut self, packet: &RingPacket) {
+        if let Some(last) = self.last.replace(*packet) {
+            let gap_us = device_gap_us(&last, packet);
+            // A clock that stands still or jumps tells nothing.
+            if gap_us <= 0.0 || 1e6 < gap_us {
+                self.reset();
+                return;
+            }
+            self.device_ns += (gap_us * 1000.0) as i64;
+        }
+        let delay = packet.end_ns.saturating_sub(self.device_ns);
+        let (start, least) = self.second.get_or_insert((self.device_ns, delay));
+        *least = delay.min(*least);
+        if *start + SECOND_NS <= self.device_ns {
+            let least = *least;
+            if let Some(before) = self.least_before.replace(least) {
+                let step_ns = least - before;
+                if STEP_NS < step_ns.abs() {
+                    self.n_steps += 1;
+                    let step_s = step_ns as f64 * 1e-9;
+                    if self.largest_s.abs() < step_s.abs() {
+                        self.largest_s = step_s;
+                    }
+                }
+            }
+            self.second = None;
+        }
+    }
+}
+
 /// The device clock tells a packet's first firing (manual 63-9113, "Time Stamp"), the host's stamp
 /// its end.
 fn gps_ns(packet: &RingPacket) -> Option<i64> {
@@ -129,6 +189,23 @@ mod tests {
             let error_ns = (stamp - packet.end_ns).abs();
             assert!(error_ns <= 40 * k as i64, "packet {k}: {error_ns} ns");
         }
+    }
+
+    /// The host is set back by 0.5 s after 5 s, and on again after 10 s.
+    #[test]
+    fn steps_of_the_host_are_told() {
+        let steps = |delay_ns: &dyn Fn(usize) -> i64| {
+            let mut host = HostClock::default();
+            delayed(30_000, delay_ns).iter().for_each(|packet| host.push(packet));
+            (host.n_steps, (host.largest_s * 10.0).round())
+        };
+        assert_eq!(
+            steps(&|k| if (9042..18_084).contains(&k) { -500_000_000 } else { 0 }),
+            (2, -5.0)
+        );
+        // Stamps of whole messages, late by up to 100 ms, are no steps; nor is drift of 50 ppm.
+        assert_eq!(steps(&|k| (180 - k as i64 % 181) * 552_960), (0, 0.0));
+        assert_eq!(steps(&|k| k as i64 * 28), (0, 0.0));
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 
-use dataset::{FULL_RING_DEG, RangeLimits, Scan};
+use dataset::{FULL_RING_DEG, Scan};
 use messages::{Column, MessageError, PointCloud, Source, read_point_cloud};
 
 use crate::options::LidarOptions;
@@ -17,9 +17,18 @@ pub(crate) const MAX_ELEVATION_ERROR_DEG: f64 = 0.7;
 const NEAR_M: f64 = 0.5;
 /// A step back of up to this is jitter of the encoder, or the other return of one firing \[rad\].
 const JITTER_RAD: f64 = 10.0 * PI / 180.0;
-/// Points in firing order pass the circle once; where they seem to pass it more often than this,
-/// they are in no order.
-const MAX_TURNS: f64 = 1.5;
+/// Points in firing order hardly ever lie so far from the next; points in no order do half of the
+/// time \[rad\].
+const WIDE_RAD: f64 = PI / 2.0;
+/// Share of such steps from which points are in no order, where there are not too few to tell.
+const MAX_WIDE_SHARE: f64 = 0.1;
+const FEW_STEPS: usize = 20;
+/// What a sum of some thousand steps may be off by \[rad\].
+const ROUNDING_RAD: f64 = 1e-9;
+
+/// A point's time is no farther from the header's stamp than this \[ns\]: a turn takes 0.2 s at
+/// most, drivers stamp its start or its end.
+const MAX_FROM_HEADER_NS: i64 = 1_000_000_000;
 
 /// The fields of a cloud that are read.
 struct Fields<'a> {
@@ -42,12 +51,9 @@ struct Time<'a> {
 impl<'a> Fields<'a> {
     fn of(cloud: &'a PointCloud<'_>) -> messages::Result<Self> {
         let column = |name: &str| {
-            cloud.column(name).ok_or_else(|| MessageError::Malformed {
-                message: "a point cloud",
-                detail: format!(
-                    "no field `{name}`, of which a scan is made; there are {}",
-                    cloud.fields.iter().map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ")
-                ),
+            cloud.column(name).ok_or_else(|| MessageError::NoField {
+                field: name.to_owned(),
+                found: cloud.fields.iter().map(|field| field.name.clone()).collect(),
             })
         };
         // velodyne_pointcloud: `time`, seconds from the stamp; Ouster: `t`, nanoseconds from the
@@ -68,15 +74,14 @@ impl<'a> Fields<'a> {
         (range.is_finite() && 0.0 < range).then_some([x, y, range])
     }
 
-    /// When a point was measured \[ns since the epoch\].
-    fn stamp_ns(&self, header_ns: i64, k: usize) -> i64 {
-        let Some(time) = &self.time else { return header_ns };
-        let ns = time.column.get(k) * time.ns;
-        match (ns.is_finite(), time.absolute) {
-            (false, _) => header_ns,
-            (true, true) => ns as i64,
-            (true, false) => header_ns.saturating_add(ns as i64),
-        }
+    /// When a point was measured \[ns since the epoch\]; none where its time is of another clock
+    /// than the header's, or in other units.
+    fn stamp_ns(&self, header_ns: i64, k: usize) -> Option<i64> {
+        let Some(time) = &self.time else { return Some(header_ns) };
+        let ns = (time.column.get(k) * time.ns).round();
+        let stamp_ns = if time.absolute { ns as i64 } else { header_ns.saturating_add(ns as i64) };
+        let is_near = stamp_ns.saturating_sub(header_ns).saturating_abs() <= MAX_FROM_HEADER_NS;
+        (ns.is_finite() && is_near).then_some(stamp_ns)
     }
 }
 
@@ -89,10 +94,16 @@ pub(crate) struct Rings {
 
 /// Clouds that tell the elevations of the rings.
 const CLOUDS: usize = 10;
+/// Points that tell the elevation of a ring.
+const POINTS: usize = 10_000;
 
 impl Rings {
-    pub(crate) fn is_enough(&self) -> bool {
-        CLOUDS <= self.n_clouds
+    /// Whether the ring that the options ask for is among those of 10 clouds; or, where these have
+    /// no return of it, of 20, of 40 and so on.
+    pub(crate) fn is_enough(&self, options: &LidarOptions) -> bool {
+        let is_time =
+            self.n_clouds.is_multiple_of(CLOUDS) && (self.n_clouds / CLOUDS).is_power_of_two();
+        options.laser.is_some() || is_time && self.choose(options).is_ok()
     }
 
     /// Adds a cloud's points.
@@ -103,21 +114,22 @@ impl Rings {
         for k in 0..fields.ring.len() {
             let Some([x, y, range]) = fields.point(k) else { continue };
             if NEAR_M <= range {
-                let elevation = libm::atan2(fields.z.get(k), (x * x + y * y).sqrt()).to_degrees();
-                self.elevations_deg.entry(fields.ring.get(k) as u32).or_default().push(elevation);
+                let of_ring = self.elevations_deg.entry(fields.ring.get(k) as u32).or_default();
+                if of_ring.len() < POINTS {
+                    let elevation = libm::atan2(fields.z.get(k), (x * x + y * y).sqrt());
+                    of_ring.push(elevation.to_degrees());
+                }
             }
         }
         Ok(())
     }
 
-    /// Adds the points of other clouds, until there are enough.
+    /// Adds the points of other clouds.
     pub(crate) fn merge(&mut self, other: Self) {
-        if self.is_enough() {
-            return;
-        }
         self.n_clouds += other.n_clouds;
         for (ring, elevations) in other.elevations_deg {
-            self.elevations_deg.entry(ring).or_default().extend(elevations);
+            let of_ring = self.elevations_deg.entry(ring).or_default();
+            of_ring.extend(elevations.into_iter().take(POINTS - of_ring.len()));
         }
     }
 
@@ -164,13 +176,24 @@ impl Rings {
     }
 }
 
-/// A scan, and whether its points had to be sorted.
+/// A scan, and what was wrong with its cloud.
+pub(crate) struct FromCloud {
+    pub(crate) scan: Scan,
+    /// The points were in no order, and were sorted.
+    pub(crate) is_sorted: bool,
+    /// Returns beyond one turn, which are left out.
+    pub(crate) n_beyond: u64,
+    /// The points' times are of another clock; the header's stamp was taken.
+    pub(crate) is_of_other_clock: bool,
+}
+
+/// Takes the scan of one ring.
 pub(crate) fn scan(
     source: Source,
     data: &[u8],
     ring: u32,
     options: &LidarOptions,
-) -> messages::Result<(Scan, bool)> {
+) -> messages::Result<FromCloud> {
     let cloud = read_point_cloud(source, data)?;
     let fields = Fields::of(&cloud)?;
     let ring = f64::from(ring);
@@ -182,35 +205,46 @@ pub(crate) fn scan(
         .filter_map(|&k| fields.point(k))
         .map(|point| (libm::atan2(point[1], point[0]), point))
         .collect();
-    let mut swept = sweep_rad(points.iter().map(|(azimuth, _)| *azimuth));
-    let sort = MAX_TURNS * TAU < swept;
-    if sort {
+    let mut sweep = Sweep::of(&points.iter().map(|(azimuth, _)| *azimuth));
+    let is_sorted = !sweep.is_ordered;
+    if is_sorted {
         // Clockwise from straight ahead, as the sensor turns.
         points.sort_by(|a, b| (-a.0).rem_euclid(TAU).total_cmp(&(-b.0).rem_euclid(TAU)));
-        swept = sweep_rad(points.iter().map(|(azimuth, _)| *azimuth));
-    } else if swept.to_degrees() < f64::from(FULL_RING_DEG) {
+        sweep = Sweep::of(&points.iter().map(|(azimuth, _)| *azimuth));
+    }
+    let mut swept = sweep.reached_rad.last().copied().unwrap_or(0.0);
+    if swept.to_degrees() < f64::from(FULL_RING_DEG) {
         // Where the turn was cut this ring had no return; another may have.
         swept = swept.max(widest_sweep_rad(&fields));
     }
-    let limits = RangeLimits { min_m: options.range_min_m, max_m: options.range_max_m };
+    // A driver may put more than a turn into a cloud; a scan is one.
+    let n_of_turn = sweep.reached_rad.partition_point(|&reached| reached < TAU - ROUNDING_RAD);
+    let n_beyond = points.len() - n_of_turn;
+    points.truncate(n_of_turn);
+    if n_beyond > 0 {
+        swept = sweep.reached_rad[n_of_turn - 1];
+    }
+    // Compared as f32, which clouds are made of, so that a point at a limit is within it.
+    let limits = options.range_min_m as f32..=options.range_max_m as f32;
     let side = if options.upside_down { -1.0 } else { 1.0 };
-    let kept = points.iter().filter(|(_, [_, _, range])| limits.contains(*range));
+    let kept = points.iter().filter(|(_, [_, _, range])| limits.contains(&(*range as f32)));
     let (x_m, y_m) = kept.map(|(_, [x, y, _])| (*x as f32, (side * y) as f32)).unzip();
-    Ok((
-        Scan {
-            stamp_ns: of_ring
-                .first()
-                .map_or(cloud.stamp_ns, |&k| fields.stamp_ns(cloud.stamp_ns, k)),
-            x_m,
-            y_m,
-            coverage_deg: swept.to_degrees() as f32,
-            hole_deg: 0.0,
-        },
-        sort,
-    ))
+    let stamp_ns = match of_ring.first() {
+        Some(&k) => fields.stamp_ns(cloud.stamp_ns, k),
+        None => Some(cloud.stamp_ns),
+    };
+    let scan = Scan {
+        stamp_ns: stamp_ns.unwrap_or(cloud.stamp_ns),
+        x_m,
+        y_m,
+        coverage_deg: swept.to_degrees() as f32,
+        hole_deg: 0.0,
+    };
+    let n_beyond = n_beyond as u64;
+    Ok(FromCloud { scan, is_sorted, n_beyond, is_of_other_clock: stamp_ns.is_none() })
 }
 
-/// The widest sweep of any ring.
+/// The widest sweep of any ring whose points are in order.
 fn widest_sweep_rad(fields: &Fields<'_>) -> f64 {
     let mut azimuths: BTreeMap<u32, Vec<f64>> = BTreeMap::new();
     for k in 0..fields.ring.len() {
@@ -218,25 +252,50 @@ fn widest_sweep_rad(fields: &Fields<'_>) -> f64 {
             azimuths.entry(fields.ring.get(k) as u32).or_default().push(libm::atan2(y, x));
         }
     }
-    let sweeps = azimuths.into_values().map(|azimuths| sweep_rad(azimuths.into_iter()));
-    sweeps.filter(|&sweep| sweep <= MAX_TURNS * TAU).fold(0.0, f64::max)
+    let sweeps = azimuths.into_values().map(|azimuths| Sweep::of(&azimuths.into_iter()));
+    sweeps
+        .filter(|sweep| sweep.is_ordered)
+        .filter_map(|sweep| sweep.reached_rad.last().copied())
+        .fold(0.0, f64::max)
 }
 
-/// Angle from the first azimuth to the last in the direction of turning, gaps included \[rad\].
-fn sweep_rad(azimuths: impl Iterator<Item = f64> + Clone) -> f64 {
-    let steps = azimuths.clone().zip(azimuths.skip(1)).map(|(from, to)| {
-        let step = (to - from).rem_euclid(TAU);
-        if PI < step { step - TAU } else { step }
-    });
-    let n_left = steps.clone().filter(|step| 0.0 < *step).count();
-    let n_right = steps.clone().filter(|step| *step < 0.0).count();
-    let side = if n_right < n_left { 1.0 } else { -1.0 };
-    steps
-        .map(|step| {
+/// How azimuths follow each other.
+struct Sweep {
+    /// Angle from the first azimuth to each, in the direction of turning, gaps included \[rad\];
+    /// never less than the one before.
+    reached_rad: Vec<f64>,
+    /// The points are in the order of firing.
+    is_ordered: bool,
+}
+
+impl Sweep {
+    fn of(azimuths: &(impl Iterator<Item = f64> + Clone)) -> Self {
+        let steps = azimuths.clone().zip(azimuths.clone().skip(1)).map(|(from, to)| {
+            let step = (to - from).rem_euclid(TAU);
+            if PI < step { step - TAU } else { step }
+        });
+        let n_left = steps.clone().filter(|step| 0.0 < *step).count();
+        let n_right = steps.clone().filter(|step| *step < 0.0).count();
+        let side = if n_right < n_left { 1.0 } else { -1.0 };
+        let n_wide = steps.clone().filter(|step| WIDE_RAD < step.abs()).count();
+        let n_steps = steps.clone().count();
+        let mut at = 0.0f64;
+        let reached = steps.map(|step| {
             // A gap of more than half a turn is no step back.
             let ahead = (side * step).rem_euclid(TAU);
-            if TAU - JITTER_RAD < ahead { ahead - TAU } else { ahead }
-        })
-        .sum::<f64>()
-        .max(0.0)
+            at += if TAU - JITTER_RAD < ahead { ahead - TAU } else { ahead };
+            at
+        });
+        let mut furthest = 0.0f64;
+        let reached_rad = azimuths.clone().take(1).map(|_| 0.0).chain(reached);
+        Self {
+            reached_rad: reached_rad
+                .map(|reached| {
+                    furthest = furthest.max(reached);
+                    furthest
+                })
+                .collect(),
+            is_ordered: n_steps < FEW_STEPS || n_wide as f64 <= MAX_WIDE_SHARE * n_steps as f64,
+        }
+    }
 }

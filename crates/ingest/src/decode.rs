@@ -1,16 +1,17 @@
 //! One piece of a log -> the packets, scans and poses in it.
 
-use dataset::{Dropped, Scan, StampedPose};
+use dataset::{Dropped, Scan};
 use messages::{MessageType, Source};
 
 use crate::chunk::{self, Buffer};
 use crate::cloud::{self, Rings};
 use crate::error::IngestError;
-use crate::options::LidarOptions;
+use crate::motion::Motion;
+use crate::options::{LidarOptions, Options};
+use crate::planar;
 use crate::ring::Packets;
 use crate::sensor::Laser;
 use crate::topic::{Drive, FilePiece, Topic};
-use crate::{planar, poses};
 
 /// What of the lidar makes the scan.
 #[derive(Debug, Clone, Copy)]
@@ -50,16 +51,17 @@ impl Beam {
         if lidar.any(is_cloud) {
             let mut rings = Rings::default();
             let mut buffer = Buffer::default();
+            let mut is_enough = false;
             for FilePiece { file, log, piece, .. } in drive.pieces_with(&[lidar]) {
-                if rings.is_enough() {
+                if is_enough {
                     break;
                 }
                 // What cannot be read is counted when the scans are made.
                 chunk::messages(log.bytes(), piece, &mut buffer, |header, data| {
                     if let Some(source) = lidar.source(file, header.channel_id).filter(is_cloud)
-                        && !rings.is_enough()
+                        && !is_enough
                     {
-                        let _ = rings.add(source, data);
+                        is_enough = rings.add(source, data).is_ok() && rings.is_enough(options);
                     }
                 });
             }
@@ -74,46 +76,55 @@ impl Beam {
 /// Reads pieces, several at once.
 pub(crate) struct Reader<'a> {
     pub(crate) lidar: &'a Topic,
-    pub(crate) pose: Option<&'a Topic>,
+    /// Topics of poses, or of what they are made from.
+    pub(crate) of_pose: &'a [&'a Topic],
     pub(crate) beam: Beam,
-    pub(crate) options: &'a LidarOptions,
+    pub(crate) options: &'a Options,
 }
 
 /// What one piece of the log holds.
 #[derive(Default)]
 pub(crate) struct Decoded {
+    /// Number of the file it is of.
+    pub(crate) file: usize,
     pub(crate) packets: Packets,
     pub(crate) scans: Vec<Scan>,
     pub(crate) n_sorted_clouds: u64,
-    pub(crate) poses: Vec<StampedPose>,
+    pub(crate) n_clouds_of_other_clock: u64,
+    pub(crate) motion: Motion,
+    /// Messages of the topics, whether they could be read or not.
+    pub(crate) n_messages: u64,
+    /// Whether a part of the piece itself could not be read.
+    pub(crate) is_damaged: bool,
     pub(crate) dropped: Dropped,
 }
 
 impl Reader<'_> {
     pub(crate) fn decode(&self, from: &FilePiece<'_>, buffer: &mut Buffer) -> Decoded {
         let FilePiece { file, log, piece, .. } = *from;
-        let mut decoded = Decoded::default();
+        let mut decoded = Decoded { file, ..Decoded::default() };
         let lost = chunk::messages(log.bytes(), piece, buffer, |header, data| {
             let channel = header.channel_id;
-            if let Some(source) = self.lidar.source(file, channel)
-                && let Err(error) = self.decode_lidar(source, data, &mut decoded)
-            {
-                let (topic, kind) = (&self.lidar.name, source.message_type.name());
-                let reason =
-                    format!("messages of {topic} that do not decode as {kind} ({})", error.kind());
-                decoded.dropped.add(reason, 1);
+            if let Some(source) = self.lidar.source(file, channel) {
+                decoded.n_messages += 1;
+                if let Err(error) = self.decode_lidar(source, data, &mut decoded) {
+                    let (topic, kind) = (&self.lidar.name, source.message_type.name());
+                    let why = error.kind();
+                    let reason =
+                        format!("messages of {topic} that do not decode as {kind} ({why})");
+                    decoded.dropped.add(reason, 1);
+                }
             }
-            if let Some((topic, source)) =
-                self.pose.and_then(|t| Some((t, t.source(file, channel)?)))
-            {
-                match poses::stamped_pose(source, data) {
-                    Ok(stamped) => decoded.poses.push(stamped),
-                    Err(reason) => {
-                        decoded.dropped.add(format!("messages of {} {reason}", topic.name), 1);
-                    }
+            let Some(options) = &self.options.pose else { return };
+            for topic in self.of_pose {
+                let Some(source) = topic.source(file, channel) else { continue };
+                decoded.n_messages += 1;
+                if let Err(reason) = decoded.motion.add(source, data, options) {
+                    decoded.dropped.add(format!("messages of {} {reason}", topic.name), 1);
                 }
             }
         });
+        decoded.is_damaged = !lost.is_empty();
         decoded.dropped.merge(lost);
         decoded
     }
@@ -129,11 +140,14 @@ impl Reader<'_> {
                 decoded.packets.add(source, data, self.beam.laser.index)?;
             }
             MessageType::PointCloud2 | MessageType::FoxglovePointCloud => {
-                let (scan, sorted) = cloud::scan(source, data, self.beam.ring, self.options)?;
-                decoded.scans.push(scan);
-                decoded.n_sorted_clouds += u64::from(sorted);
+                let of_cloud = cloud::scan(source, data, self.beam.ring, &self.options.lidar)?;
+                decoded.scans.push(of_cloud.scan);
+                decoded.n_sorted_clouds += u64::from(of_cloud.is_sorted);
+                let reason = "returns beyond one turn of their cloud";
+                decoded.dropped.add(reason, of_cloud.n_beyond);
+                decoded.n_clouds_of_other_clock += u64::from(of_cloud.is_of_other_clock);
             }
-            _ => decoded.scans.push(planar::scan(source, data, self.options)?),
+            _ => decoded.scans.push(planar::scan(source, data, &self.options.lidar)?),
         }
         Ok(())
     }

@@ -13,9 +13,15 @@ pub enum IngestError {
         /// The system's word.
         source: std::io::Error,
     },
+    /// There is nothing in the file.
+    #[error("{path} is empty: the recorder wrote nothing, or the copy failed")]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
     /// The file does not start as an MCAP file does.
     #[error(
-        "{path} is no MCAP log: it starts with {found}, expected the magic bytes 89 4d 43 41 50 30 0d 0a; convert the recording to MCAP (`ros2 bag convert`, `mcap convert`)"
+        "{path} is no MCAP log: it starts with {found}, expected the magic bytes 89 4d 43 41 50 30 0d 0a; convert the recording to MCAP (`loopboost import`, `ros2 bag convert`, `mcap convert`)"
     )]
     NotMcap {
         /// The file.
@@ -24,34 +30,28 @@ pub enum IngestError {
         found: String,
     },
     /// No channel has the topic.
-    #[error("{path} has no topic `{topic}`; set `{key}` to one of: {topics}")]
+    #[error("{path} has no topic `{topic}`; {remedy}")]
     NoTopic {
         /// The log.
         path: PathBuf,
         /// The topic asked for.
         topic: String,
-        /// The option that names it.
-        key: &'static str,
-        /// Topics of the log that would do, or else all of them, with their types.
-        topics: String,
+        /// What to do: the option to set, and to which topics.
+        remedy: String,
     },
     /// The topic holds messages that the option cannot use.
-    #[error(
-        "{path}: topic `{topic}` holds `{found}`, expected {expected}; set `{key}` to a topic of such a type: {topics}"
-    )]
+    #[error("{path}: topic `{topic}` holds `{found}`, expected {expected}; {remedy}")]
     WrongType {
         /// The log.
         path: PathBuf,
         /// The topic.
         topic: String,
-        /// The option that names it.
-        key: &'static str,
         /// Schema and encoding found.
         found: String,
         /// The types that would do.
         expected: String,
-        /// Topics of the log that would do.
-        topics: String,
+        /// What to do: the option to set, and to which topics.
+        remedy: String,
     },
     /// The pose topic is there but empty, or no message of it could be read.
     #[error(
@@ -64,6 +64,16 @@ pub enum IngestError {
         topic: String,
         /// What was dropped, or nothing.
         detail: String,
+    },
+    /// No poses come of the wheels.
+    #[error("{path}: no poses can be made of topic `{topic}`")]
+    Fuse {
+        /// The log.
+        path: PathBuf,
+        /// The topic of the wheels.
+        topic: String,
+        /// Why.
+        source: fuse::FuseError,
     },
     /// Not one scan came out.
     #[error(
@@ -104,6 +114,16 @@ pub enum IngestError {
         asked: String,
         /// The beams there are.
         found: String,
+    },
+    /// The device clock is to give the time and does not go on.
+    #[error(
+        "{path}: the device clock in the packets of topic `{topic}` stands still, so that it can give no time; set `ingest.lidar.clock` to \"host\""
+    )]
+    StillClock {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
     },
     /// The laser that should make the scan returns nothing in the whole log.
     #[error(

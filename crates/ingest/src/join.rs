@@ -3,14 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use dataset::{Dropped, Scan, StampedPose, Trajectory};
+use dataset::{Dropped, Scan, Trajectory};
 use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
 use crate::Ingested;
 use crate::decode::Decoded;
 use crate::error::IngestError;
-use crate::options::LidarOptions;
+use crate::motion::{Motion, PoseTopics};
+use crate::options::{Clock, LidarOptions, PoseOptions};
 use crate::order::Sequencer;
 use crate::ring::RingPacket;
 use crate::sensor::{self, Laser, OtherSensor};
@@ -19,27 +20,44 @@ use crate::turn::{ScanMaker, Turn};
 use crate::turns::{Ends, MARKED_HOLE_DEG, TurnCutter};
 
 /// Packets looked at to tell the sensor model.
-const PACKETS_TO_IDENTIFY: usize = 200;
+pub(crate) const PACKETS_TO_IDENTIFY: usize = 200;
+/// Packets that do not follow each other, one in so many, come from more than one sensor: a network
+/// loses packets in bursts and a clock jumps now and then.
+const MIXED: u64 = 10;
+const SEVERAL_SENSORS: &str =
+    "its packets do not follow each other, as if more than one sensor sent to the topic";
 /// Packets of another layout that are no accident, where there are none of the right one.
 const FOREIGN_PACKETS: u64 = 3;
 
 /// Puts together what the pieces hold.
 pub(crate) struct Joiner {
     laser: Laser,
+    options: LidarOptions,
     sequencer: Sequencer,
     cutter: TurnCutter,
     maker: ScanMaker,
+    /// The file that is being joined.
+    file: usize,
+    /// Packets of it that are no later than those of the files before are there twice \[ns\].
+    file_from_ns: i64,
+    newest_ns: i64,
     first_packets: Vec<RingPacket>,
     foreign: BTreeMap<&'static str, u64>,
-    poses: Vec<StampedPose>,
+    n_packets: u64,
+    motion: Motion,
+    /// Poses that are earlier than the one before in the log.
+    n_poses_back: u64,
     dropped: Dropped,
     n_scans: usize,
     n_sorted_clouds: u64,
+    n_clouds_of_other_clock: u64,
     /// Scans with a hole of more than [`MARKED_HOLE_DEG`].
     n_marked: usize,
     n_firings: u64,
     n_returns: u64,
     lasers_with_returns: u32,
+    n_messages: u64,
+    is_damaged: bool,
 }
 
 impl Joiner {
@@ -47,19 +65,28 @@ impl Joiner {
     pub(crate) fn new(options: &LidarOptions, laser: Laser, dropped: Dropped) -> Self {
         Self {
             laser,
+            options: options.clone(),
             sequencer: Sequencer::default(),
             cutter: TurnCutter::new(options, laser),
             maker: ScanMaker::new(options, laser),
+            file: 0,
+            file_from_ns: i64::MIN,
+            newest_ns: i64::MIN,
             first_packets: Vec::new(),
             foreign: BTreeMap::new(),
-            poses: Vec::new(),
+            n_packets: 0,
+            motion: Motion::default(),
+            n_poses_back: 0,
             dropped,
             n_scans: 0,
             n_sorted_clouds: 0,
+            n_clouds_of_other_clock: 0,
             n_marked: 0,
             n_firings: 0,
             n_returns: 0,
             lasers_with_returns: 0,
+            n_messages: 0,
+            is_damaged: false,
         }
     }
 
@@ -72,7 +99,16 @@ impl Joiner {
         let mut turns = Vec::new();
         let mut scans = Vec::new();
         for piece in decoded {
+            if self.file != piece.file {
+                self.file = piece.file;
+                self.file_from_ns = self.newest_ns;
+            }
             for packet in &piece.packets.packets {
+                if packet.end_ns <= self.file_from_ns {
+                    self.dropped.add("packets that are in two files of the drive", 1);
+                    continue;
+                }
+                self.newest_ns = self.newest_ns.max(packet.end_ns);
                 if self.first_packets.len() < PACKETS_TO_IDENTIFY {
                     self.first_packets.push(*packet);
                 }
@@ -83,8 +119,12 @@ impl Joiner {
             }
             self.lasers_with_returns |= piece.packets.lasers_with_returns;
             self.n_sorted_clouds += piece.n_sorted_clouds;
+            self.n_clouds_of_other_clock += piece.n_clouds_of_other_clock;
+            self.n_messages += piece.n_messages;
+            self.is_damaged |= piece.is_damaged;
             scans.extend(piece.scans);
-            self.poses.extend(piece.poses);
+            self.n_poses_back += self.motion.extend(piece.motion);
+            self.n_packets += piece.packets.packets.len() as u64;
             self.dropped.merge(piece.packets.dropped);
             self.dropped.merge(piece.dropped);
         }
@@ -113,12 +153,21 @@ impl Joiner {
         }
     }
 
+    /// Compares the messages there were with those that the log says it holds. What a damaged
+    /// piece held is lost with it, and counted as that piece.
+    pub(crate) fn expect_messages(&mut self, n: Option<u64>) {
+        if let (Some(n), false) = (n, self.is_damaged) {
+            let reason = "messages that the log's statistics count and its data lacks";
+            self.dropped.add(reason, n.saturating_sub(self.n_messages));
+        }
+    }
+
     /// Ends the last turn and sums up. `path` stands for the drive in errors.
     pub(crate) fn finish<E: From<IngestError>>(
         mut self,
         path: &Path,
         lidar: Topic,
-        pose: Option<Topic>,
+        pose: Option<(PoseTopics, &PoseOptions)>,
         mut take: impl FnMut(Vec<Scan>) -> Result<(), E>,
     ) -> Result<Ingested, E> {
         let mut turns = Vec::new();
@@ -127,19 +176,27 @@ impl Joiner {
         let mut scans = Vec::new();
         self.scan(&turns, &mut scans);
         take(scans)?;
-        self.dropped.merge(ends.dropped.clone());
-        self.dropped.merge(std::mem::take(&mut self.sequencer.dropped));
+        let mut of_packets = ends.dropped.clone();
+        of_packets.merge(std::mem::take(&mut self.sequencer.dropped));
+        let n_faults: u64 = of_packets.iter().map(|(_, n)| n).sum();
+        let is_mixed = self.n_packets < MIXED * n_faults;
+        self.dropped.merge(of_packets);
 
         let mut notes = lidar.notes.clone();
-        notes.extend(pose.iter().flat_map(|pose| pose.notes.clone()));
+        let pose_topics = pose.iter().flat_map(|(topics, _)| topics.all());
+        notes.extend(pose_topics.flat_map(|topic| topic.notes.clone()));
         notes.extend(self.notes(&ends));
-        self.check_scans(path, lidar.name, &ends)?;
-        let (trajectory, n_duplicates) = Trajectory::new(self.poses);
-        self.dropped.add("poses with the stamp of another pose", n_duplicates as u64);
-        if let (Some(pose), true) = (pose, trajectory.poses().is_empty()) {
-            let (path, detail) = (path.to_owned(), in_parentheses(&self.dropped));
-            return Err(IngestError::NoPoses { path, topic: pose.name, detail }.into());
+        if is_mixed {
+            notes.push(SEVERAL_SENSORS.to_owned());
         }
+        self.check_scans(path, lidar.name, &ends, is_mixed)?;
+        let dropped = &mut self.dropped;
+        let trajectory = match pose {
+            Some((topics, options)) => {
+                self.motion.trajectory(path, &topics, options, dropped, &mut notes)?
+            }
+            None => Trajectory::default(),
+        };
         Ok(Ingested {
             trajectory,
             n_scans: self.n_scans,
@@ -149,16 +206,34 @@ impl Joiner {
         })
     }
 
+    /// Whether the device clock stands still though it is to give the time.
+    pub(crate) fn lacks_clock(&self) -> bool {
+        let [first, .., last] = self.first_packets.as_slice() else { return false };
+        self.options.clock != Clock::Host
+            && self.first_packets.len() == PACKETS_TO_IDENTIFY
+            && self.first_packets.iter().all(|packet| packet.device_us == first.device_us)
+            && first.azimuth != last.azimuth
+    }
+
     /// Refuses a log that gives no scan, or none with a return.
-    fn check_scans(&self, path: &Path, topic: String, ends: &Ends) -> Result<(), IngestError> {
+    fn check_scans(
+        &self,
+        path: &Path,
+        topic: String,
+        ends: &Ends,
+        is_mixed: bool,
+    ) -> Result<(), IngestError> {
         let path = path.to_owned();
         if self.n_scans == 0 {
-            let detail = match self.dropped.is_empty() && ends.n_partial > 0 {
+            let mut detail = match self.dropped.is_empty() && ends.n_partial > 0 {
                 true => {
                     ": its packets span less than one turn between two cuts at azimuth 0".to_owned()
                 }
                 false => in_parentheses(&self.dropped),
             };
+            if is_mixed {
+                detail.push_str(&format!(": {SEVERAL_SENSORS}"));
+            }
             return Err(IngestError::NoScans { path, topic, detail });
         }
         if self.n_firings > 0 && self.n_returns == 0 {
@@ -188,6 +263,26 @@ impl Joiner {
                 ends.n_missing_packets, self.n_marked
             ));
         }
+        if ends.n_clock_jumps > 0 {
+            notes.push(format!(
+                "the device clock jumps {} times, alone: nothing is lost for it",
+                ends.n_clock_jumps
+            ));
+        }
+        if let (n @ 1.., largest_s) = self.cutter.stamp_steps() {
+            notes.push(format!(
+                "the stamps step {n} times against the device clock, by up to {largest_s:.2} s: scans and poses may be that far apart there"
+            ));
+        }
+        if self.n_poses_back > 0 {
+            notes.push(format!(
+                "{} poses are earlier than the one before in the log; they were put in order of time",
+                self.n_poses_back
+            ));
+        }
+        if self.options.clock == Clock::Host && self.n_packets < 2 * ends.n_same_stamp {
+            notes.push("packets of a message have one stamp, so that scans may be late by its time: set `ingest.lidar.clock` to \"device\"".to_owned());
+        }
         if self.sequencer.n_late > 0 {
             notes
                 .push(format!("{} packets came late and were put in order", self.sequencer.n_late));
@@ -196,6 +291,12 @@ impl Joiner {
             notes.push(format!(
                 "{} clouds have their points in no firing order; they were sorted by azimuth",
                 self.n_sorted_clouds
+            ));
+        }
+        if self.n_clouds_of_other_clock > 0 {
+            notes.push(format!(
+                "{} clouds have point times more than 1 s from their stamp; the stamp was taken",
+                self.n_clouds_of_other_clock
             ));
         }
         let dead = !self.lasers_with_returns;

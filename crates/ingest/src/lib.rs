@@ -4,7 +4,7 @@
 //! log.mcap ──log──► pieces ──chunk──► messages ──ring──► packets ──order──► turns ──► scans
 //!                                              ├─cloud──────────────────────────────► scans
 //!                                              ├─planar─────────────────────────────► scans
-//!                                              └─poses──► trajectory
+//!                                              └─motion─► trajectory
 //! ```
 //!
 //! A log is memory-mapped and read piece by piece, some pieces at once, so that memory does not
@@ -22,10 +22,12 @@ mod decode;
 mod error;
 mod join;
 mod log;
+mod motion;
 mod options;
 mod order;
 mod planar;
 mod poses;
+mod record;
 mod ring;
 mod sensor;
 mod survey;
@@ -39,7 +41,8 @@ use rayon::prelude::*;
 pub use error::IngestError;
 pub use log::{Channel, Contents, Log};
 pub use messages::MessageType;
-pub use options::{Clock, LidarOptions, OptionError, Options, PoseOptions};
+pub use messages::hdl32e::HORIZONTAL_LASER;
+pub use options::{Clock, LidarOptions, OptionError, Options, PoseOptionError, PoseOptions, Start};
 pub use survey::{
     ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,
     TopicSurvey, survey,
@@ -48,6 +51,7 @@ pub use survey::{
 use chunk::Buffer;
 use decode::{Beam, Decoded, Reader};
 use join::Joiner;
+use motion::PoseTopics;
 use topic::{Drive, FilePiece, Topic};
 
 /// What a drive gave besides its scans.
@@ -83,6 +87,11 @@ pub const POSE_TYPES: [MessageType; 4] = [
     MessageType::FoxglovePoseInFrame,
 ];
 
+/// The message types that the speeds of the wheels can come from.
+pub const WHEEL_TYPES: [MessageType; 2] = [MessageType::JointState, MessageType::Odometry];
+/// The message types that yaw rates can come from.
+pub const IMU_TYPES: [MessageType; 1] = [MessageType::Imu];
+
 /// Pieces decoded between two joins, for each thread.
 const PIECES_PER_THREAD: usize = 8;
 
@@ -99,19 +108,18 @@ pub fn ingest<E: From<IngestError> + Send>(
     let drive = Drive::new(logs);
     let lidar = drive.topic(&options.lidar.topic, "ingest.lidar.topic", &LIDAR_TYPES)?;
     let pose = match &options.pose {
-        Some(pose) => Some(drive.topic(&pose.topic, "ingest.pose.topic", &POSE_TYPES)?),
+        Some(pose) => Some((PoseTopics::find(&drive, pose)?, pose)),
         None => None,
     };
     let beam = Beam::choose(&drive, &lidar, &options.lidar)?;
     let mut dropped = drive.dropped();
-    dropped.merge(lidar.unfit.clone());
-    dropped.merge(pose.as_ref().map(|pose| pose.unfit.clone()).unwrap_or_default());
-
-    let topics: Vec<&Topic> = [&lidar].into_iter().chain(&pose).collect();
+    let of_pose: Vec<&Topic> = pose.iter().flat_map(|(topics, _)| topics.all()).collect();
+    let topics: Vec<&Topic> = [&lidar].into_iter().chain(of_pose.iter().copied()).collect();
+    topics.iter().for_each(|topic| dropped.merge(topic.unfit.clone()));
     let pieces = drive.pieces_with(&topics);
     let windows: Vec<&[FilePiece]> =
         pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()).collect();
-    let reader = Reader { lidar: &lidar, pose: pose.as_ref(), beam, options: &options.lidar };
+    let reader = Reader { lidar: &lidar, of_pose: &of_pose, beam, options };
     let decode_window = |window: &[FilePiece]| -> Vec<Decoded> {
         window
             .par_iter()
@@ -138,9 +146,13 @@ pub fn ingest<E: From<IngestError> + Send>(
             }
             .into());
         }
+        if joiner.lacks_clock() {
+            return Err(IngestError::StillClock { path: drive.path(), topic: lidar.name }.into());
+        }
         decoded = next_decoded;
         forget(window, &progress);
     }
+    joiner.expect_messages(drive.n_messages(&topics));
     joiner.finish(&drive.path(), lidar, pose, take)
 }
 

@@ -15,13 +15,20 @@ use memmap2::{Advice, Mmap, UncheckedAdvice};
 use messages::Source;
 
 use crate::IngestError;
-use crate::chunk::{self, Buffer};
+use crate::chunk::{self, Buffer, FIRST_FREE_OPCODE};
+use crate::record;
 
-/// A memory-mapped log.
+/// A log: a memory-mapped file, or bytes that came another way.
 #[derive(Debug)]
 pub struct Log {
     path: PathBuf,
-    bytes: Mmap,
+    bytes: Bytes,
+}
+
+#[derive(Debug)]
+enum Bytes {
+    Mapped(Mmap),
+    Owned(Vec<u8>),
 }
 
 /// A channel of a log.
@@ -82,6 +89,10 @@ const LOOSE_BYTES: usize = 1 << 20;
 const CUT: &str =
     "ends of the log cut off (no footer: the recorder stopped early or the copy is incomplete)";
 
+const DAMAGED_SUMMARY: &str = "summaries that are damaged (the log was read without its index)";
+const WRONG_INDEX: &str =
+    "indexes of chunks that the data contradicts (the log was read without its index)";
+
 impl Log {
     /// Maps a file and checks that it starts as MCAP does.
     pub fn open(path: &Path) -> Result<Self, IngestError> {
@@ -90,47 +101,74 @@ impl Log {
         // SAFETY: the map is read-only. Should another process cut the file while it is mapped,
         // the system ends this one; a log that is still being written is not for batch work.
         let bytes = unsafe { Mmap::map(&file) }.map_err(failed)?;
-        if !bytes.starts_with(mcap::MAGIC) {
-            let first = bytes.iter().take(8).map(|b| format!("{b:02x}")).collect::<Vec<_>>();
-            let found = if first.is_empty() { "nothing".to_owned() } else { first.join(" ") };
-            return Err(IngestError::NotMcap { path: path.to_owned(), found });
-        }
         // Advice is a hint; without it the log is read all the same.
         let _ = bytes.advise(Advice::Sequential);
-        Ok(Self { path: path.to_owned(), bytes })
+        Self::new(path, Bytes::Mapped(bytes))
     }
 
-    /// The file.
+    /// A log that is in memory already, as one that was downloaded; `path` stands for it in
+    /// messages.
+    pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, IngestError> {
+        Self::new(path, Bytes::Owned(bytes))
+    }
+
+    /// Checks that the bytes start as MCAP does.
+    fn new(path: &Path, bytes: Bytes) -> Result<Self, IngestError> {
+        let log = Self { path: path.to_owned(), bytes };
+        let bytes = log.bytes();
+        if !bytes.starts_with(mcap::MAGIC) {
+            let path = path.to_owned();
+            let first = bytes.iter().take(8).map(|b| format!("{b:02x}")).collect::<Vec<_>>();
+            return Err(match first.is_empty() {
+                true => IngestError::Empty { path },
+                false => IngestError::NotMcap { path, found: first.join(" ") },
+            });
+        }
+        Ok(log)
+    }
+
+    /// The file, or what stands for it.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The file's bytes.
+    /// The log's bytes.
     pub fn bytes(&self) -> &[u8] {
-        &self.bytes
+        match &self.bytes {
+            Bytes::Mapped(bytes) => bytes,
+            Bytes::Owned(bytes) => bytes,
+        }
     }
 
     /// Tells the system that the bytes before `end` are not needed in memory any more.
     pub(crate) fn forget_up_to(&self, end: usize) {
+        let Bytes::Mapped(bytes) = &self.bytes else { return };
         const PAGE: usize = 4096;
         let whole_pages = end / PAGE * PAGE;
         // SAFETY: the map is read-only and shared; a page dropped here is read again if touched.
-        let _ =
-            unsafe { self.bytes.unchecked_advise_range(UncheckedAdvice::DontNeed, 0, whole_pages) };
+        let _ = unsafe { bytes.unchecked_advise_range(UncheckedAdvice::DontNeed, 0, whole_pages) };
     }
 
     /// Reads the log's structure; its messages stay unread.
     pub fn contents(&self) -> Contents {
-        self.indexed_contents().unwrap_or_else(|| self.walked_contents())
+        self.indexed_contents().unwrap_or_else(|reason| {
+            let mut contents = self.walked_contents();
+            contents.dropped.add(reason.unwrap_or_default(), u64::from(reason.is_some()));
+            contents
+        })
     }
 
-    /// From the summary; none where it is absent or contradicts the file.
-    fn indexed_contents(&self) -> Option<Contents> {
+    /// From the summary; the error says what is wrong with it, nothing where it is absent or holds
+    /// too little.
+    fn indexed_contents(&self) -> Result<Contents, Option<&'static str>> {
         let bytes = self.bytes();
-        if !summary_is_intact(bytes) {
-            return None;
+        if !bytes.ends_with(mcap::MAGIC) {
+            return Err(None); // and is counted as cut
         }
-        let summary = mcap::Summary::read(bytes).ok()??;
+        if !summary_is_intact(bytes) {
+            return Err(Some(DAMAGED_SUMMARY));
+        }
+        let summary = mcap::Summary::read(bytes).map_err(|_| Some(DAMAGED_SUMMARY))?.ok_or(None)?;
         let counts = summary.stats.as_ref().map(|stats| &stats.channel_message_counts);
         let channels: BTreeMap<u16, Channel> = summary
             .channels
@@ -150,7 +188,7 @@ impl Log {
         // A writer may leave the channels out of the summary; then the data has to be looked into.
         let n_channels = summary.stats.as_ref().map_or(0, |stats| stats.channel_count as usize);
         if channels.is_empty() || channels.len() < n_channels {
-            return None;
+            return Err(None);
         }
         let mut indexes: Vec<_> = summary.chunk_indexes.iter().collect();
         indexes.sort_by_key(|index| index.chunk_start_offset);
@@ -159,16 +197,15 @@ impl Log {
         let mut at = mcap::MAGIC.len();
         let mut seen = Seen::new(self);
         for index in indexes {
-            let start = usize::try_from(index.chunk_start_offset).ok()?;
-            let end = start.checked_add(usize::try_from(index.chunk_length).ok()?)?;
-            let record = record_at(bytes, start)?;
-            if record.opcode != op::CHUNK || record.body.end != end || start < at {
-                return None;
+            let record = indexed_chunk(bytes, index).ok_or(Some(WRONG_INDEX))?;
+            let (start, end) = (record.body.start - RECORD_HEADER, record.body.end);
+            if start < at {
+                return Err(Some(WRONG_INDEX));
             }
             let known =
                 index.message_index_offsets.keys().all(|id| contents.channels.contains_key(id));
             if !known {
-                return None;
+                return Err(None);
             }
             self.walk(at..start, &mut contents);
             contents.pieces.push(Piece {
@@ -183,18 +220,13 @@ impl Log {
         }
         // Up to the end of the data section or of the file, whatever comes first.
         self.walk(at..bytes.len(), &mut contents);
-        Some(contents)
+        Ok(contents)
     }
 
     /// By walking the whole file, looking into every chunk for its channels.
     fn walked_contents(&self) -> Contents {
         let mut contents = Contents::default();
-        self.walk(mcap::MAGIC.len()..self.bytes.len(), &mut contents);
-        if self.bytes.ends_with(mcap::MAGIC) && !summary_is_intact(self.bytes()) {
-            contents
-                .dropped
-                .add("summaries that are damaged (the log was read without its index)", 1);
-        }
+        self.walk(mcap::MAGIC.len()..self.bytes().len(), &mut contents);
         let mut schemas = BTreeMap::new();
         let mut channels: BTreeMap<u16, mcap::records::Channel> = BTreeMap::new();
         let mut counts: BTreeMap<u16, u64> = BTreeMap::new();
@@ -214,15 +246,16 @@ impl Log {
             _ => {}
         };
         // Up to the end of the data: the summary repeats them, and may be what is damaged.
-        let data = records(self.bytes(), mcap::MAGIC.len()..self.bytes.len())
+        let data = records(self.bytes(), mcap::MAGIC.len()..self.bytes().len())
             .take_while(|record| record.opcode != op::DATA_END);
         let mut seen = Seen::new(self);
         for record in data {
             seen.reach(record.body.end);
-            if matches!(record.opcode, op::SCHEMA | op::CHANNEL)
-                && let Ok(parsed) = mcap::parse_record(record.opcode, &self.bytes()[record.body])
-            {
-                define(parsed);
+            if matches!(record.opcode, op::SCHEMA | op::CHANNEL) {
+                match record::parse(record.opcode, &self.bytes()[record.body]) {
+                    Some(parsed) => define(parsed),
+                    None => contents.dropped.add("records that are malformed", 1),
+                }
             }
         }
         let mut buffer = Buffer::default();
@@ -250,7 +283,7 @@ impl Log {
 
     /// Adds the messages and chunks of a stretch of top-level records.
     fn walk(&self, range: Range<usize>, contents: &mut Contents) {
-        let to_end_of_file = range.end == self.bytes.len();
+        let to_end_of_file = range.end == self.bytes().len();
         let mut at = range.start;
         let mut ended = false;
         // Messages outside chunks are taken together, up to a size.
@@ -269,6 +302,10 @@ impl Log {
                     }
                 }
                 op::CHUNK | op::DATA_END | op::FOOTER => {}
+                0 | END_OF_OPCODES..FIRST_FREE_OPCODE => {
+                    contents.dropped.add("records of a kind that the format does not have", 1);
+                    continue;
+                }
                 _ => continue,
             }
             contents.pieces.extend(loose.take().map(|range| piece(PieceKind::Records, range)));
@@ -285,10 +322,10 @@ impl Log {
         if !to_end_of_file && at != range.end {
             contents.dropped.add("stretches between chunks that hold no records", 1);
         }
-        if to_end_of_file && !(ended && self.bytes.ends_with(mcap::MAGIC)) {
+        if to_end_of_file && !(ended && self.bytes().ends_with(mcap::MAGIC)) {
             contents.dropped.add(CUT, 1);
-            if !ended && self.bytes.get(at) == Some(&op::CHUNK) {
-                let range = at..self.bytes.len();
+            if !ended && self.bytes().get(at) == Some(&op::CHUNK) {
+                let range = at..self.bytes().len();
                 contents.pieces.push(Piece { kind: PieceKind::CutChunk, range, channels: None });
             }
         }
@@ -353,11 +390,30 @@ fn summary_is_intact(bytes: &[u8]) -> bool {
     match usize::try_from(footer.summary_start) {
         Ok(0) => true,
         Ok(start) if start <= end => {
-            footer.summary_crc == 0 || footer.summary_crc == crc32fast::hash(&bytes[start..end])
+            let is_intact = footer.summary_crc == 0
+                || footer.summary_crc == crc32fast::hash(&bytes[start..end]);
+            // Private records may stand there, and are passed over.
+            let is_sound = |raw: RawRecord| {
+                FIRST_FREE_OPCODE <= raw.opcode || record::is_sound(raw.opcode, &bytes[raw.body])
+            };
+            is_intact && records(bytes, start..bytes.len()).all(is_sound)
         }
         _ => false,
     }
 }
+
+/// The chunk that an index points to; none where something else is there.
+fn indexed_chunk(bytes: &[u8], index: &mcap::records::ChunkIndex) -> Option<RawRecord> {
+    let start = usize::try_from(index.chunk_start_offset).ok()?;
+    let end = start.checked_add(usize::try_from(index.chunk_length).ok()?)?;
+    let record = record_at(bytes, start)?;
+    (record.opcode == op::CHUNK && record.body.end == end).then_some(record)
+}
+
+/// Bytes of a record's opcode and length.
+pub(crate) const RECORD_HEADER: usize = 9;
+/// The opcodes of the specification end before this one.
+const END_OF_OPCODES: u8 = op::DATA_END + 1;
 
 /// A top-level record: where its body lies.
 struct RawRecord {
@@ -368,8 +424,8 @@ struct RawRecord {
 /// The record that starts at `at`; none where the file ends before it does.
 fn record_at(bytes: &[u8], at: usize) -> Option<RawRecord> {
     let opcode = *bytes.get(at)?;
-    let length = bytes.get(at + 1..at + 9)?.try_into().ok()?;
-    let start = at + 9;
+    let start = at.checked_add(RECORD_HEADER)?;
+    let length = bytes.get(at + 1..start)?.try_into().ok()?;
     let end = start.checked_add(usize::try_from(u64::from_le_bytes(length)).ok()?)?;
     (end <= bytes.len()).then_some(RawRecord { opcode, body: start..end })
 }

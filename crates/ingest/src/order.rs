@@ -9,13 +9,14 @@ use dataset::Dropped;
 use messages::hdl32e::HOUR_US;
 
 use crate::ring::RingPacket;
+use crate::turns::Between;
 
 /// A packet can come so much later than those fired after it and still find its place \[us\]: two
-/// turns' worth, so that whole messages may have changed places. Beyond, the device clock was set
-/// back.
-const LATE_US: f64 = 250e3;
-/// Packets held back, about [`LATE_US`] of them.
-const HELD: usize = 512;
+/// messages of a turn each may have changed places, at 5 turns a second. Beyond, the device clock
+/// was set back.
+const LATE_US: f64 = 500e3;
+/// Packets held back: [`LATE_US`] of them, in dual-return mode, which has twice as many.
+const HELD: usize = 2048;
 /// A late packet has its place where the neighbours leave it at least this share of a packet's
 /// time.
 const ROOM: f64 = 0.5;
@@ -41,7 +42,9 @@ impl Sequencer {
             return;
         }
         let gap_us = self.held.back().map_or(0.0, |newest| device_gap_us(newest, packet));
-        if gap_us < -LATE_US {
+        // A packet that goes on where the newest ended is not late, whatever the clock says.
+        let set_back = |newest: &RingPacket| Between::new(newest, packet).clock_jumped();
+        if gap_us < -LATE_US || gap_us < 0.0 && self.held.back().is_some_and(set_back) {
             self.flush(&mut emit);
         } else if gap_us < 0.0 {
             self.insert(packet);
@@ -50,7 +53,8 @@ impl Sequencer {
             self.dropped.add(REPEATED, 1);
             return;
         }
-        if self.held.len() == HELD
+        // Late packets were put between them: there can be more than that.
+        while HELD <= self.held.len()
             && let Some(oldest) = self.held.pop_front()
         {
             emit(&oldest);
@@ -155,6 +159,19 @@ mod tests {
         assert_eq!((sorted.len(), sequencer.n_late), (700, 200));
     }
 
+    /// One packet in ten comes late, in a log of many times what is held back.
+    #[test]
+    fn late_packets_do_not_add_to_what_is_held_back() {
+        let mut late = packets(20 * HELD, 35_000, 20);
+        (HELD..late.len() - 1).step_by(10).for_each(|k| late.swap(k, k + 1));
+        let mut sequencer = Sequencer::default();
+        for packet in &late {
+            sequencer.push(packet, |_| {});
+            assert!(sequencer.held.len() <= HELD + 1);
+        }
+        assert!(900 < sequencer.n_late);
+    }
+
     #[test]
     fn a_late_stamp_is_put_right_a_right_one_kept() {
         let in_order = packets(10, 35_000, 20);
@@ -182,14 +199,14 @@ mod tests {
         assert_eq!(reasons(&sequencer), [(REPEATED, 2)]);
     }
 
+    /// Neither azimuth nor stamps know of it: no packet is late, and none is lost.
     #[test]
     fn a_clock_that_is_set_back_a_little_does_not_shuffle_packets() {
         let mut set_back = packets(400, 35_000, 20);
         for packet in &mut set_back[200..] {
             packet.device_us = (packet.device_us + HOUR_US - 100_000) % HOUR_US;
         }
-        // 100 ms are 180.8 packets: those until the clock is where it was.
         let (times, sequencer) = order(&set_back);
-        assert_eq!((times.len(), sequencer.n_late), (400 - 180, 0), "{:?}", reasons(&sequencer));
+        assert_eq!((times.len(), sequencer.n_late), (400, 0), "{:?}", reasons(&sequencer));
     }
 }

@@ -19,19 +19,17 @@ pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, S
     if (norm - 1.0).abs() > MAX_NORM_ERROR {
         return Err("whose quaternion is not of length 1".to_owned());
     }
-    Ok(StampedPose {
-        stamp_ns: pose.stamp_ns,
-        pose: Pose2 {
-            x_m: pose.position[0],
-            y_m: pose.position[1],
-            heading_rad: yaw_rad([x / norm, y / norm, z / norm, w / norm]),
-        },
-    })
+    let planar = Pose2 {
+        x_m: pose.position[0],
+        y_m: pose.position[1],
+        heading_rad: yaw_rad([x / norm, y / norm, z / norm, w / norm]),
+    };
+    Ok(StampedPose::new(pose.stamp_ns, planar))
 }
 
 /// Heading of a unit quaternion (x, y, z, w): the angle about z of the rotation sequence
 /// z-y'-x'' (REP 103; Diebel 2006, "Representing Attitude", eq. 290).
-fn yaw_rad([x, y, z, w]: [f64; 4]) -> f64 {
+pub(crate) fn yaw_rad([x, y, z, w]: [f64; 4]) -> f64 {
     libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 }
 

@@ -1,4 +1,4 @@
-//! `VelodyneScan` messages -> the firings of one laser, packet by packet.
+//! Messages of packets -> the firings of one laser, packet by packet.
 
 use std::collections::BTreeMap;
 
@@ -72,15 +72,12 @@ impl RingPacket {
 #[derive(Debug, Default)]
 pub(crate) struct Packets {
     pub(crate) packets: Vec<RingPacket>,
-    /// Lasers that had a return in the packets looked at, a bit each.
+    /// Lasers that had a return, a bit each.
     pub(crate) lasers_with_returns: u32,
     /// Packets of other Velodyne models, by name.
     pub(crate) foreign: BTreeMap<&'static str, u64>,
     pub(crate) dropped: Dropped,
 }
-
-/// One packet in so many is looked at for the lasers that have returns.
-const LOOKED_AT: usize = 16;
 
 impl Packets {
     /// Adds the packets of one message; a packet that is none of an HDL-32E's is counted.
@@ -92,13 +89,11 @@ impl Packets {
     ) -> messages::Result<()> {
         let scan = read_velodyne(source, data)?;
         self.packets.reserve(scan.len());
-        for (k, (end_ns, bytes)) in scan.packets().enumerate() {
+        for (end_ns, bytes) in scan.packets() {
             match Packet::new(bytes) {
                 Ok(packet) => {
                     self.packets.push(RingPacket::new(end_ns, &packet, laser));
-                    if k % LOOKED_AT == 0 {
-                        self.lasers_with_returns |= packet.returns_of();
-                    }
+                    self.lasers_with_returns |= packet.returns_of();
                 }
                 Err(_) => {
                     if let Some(model) = hdl32e::foreign_layout(bytes) {

@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use crate::chunk::{self, Buffer};
 use crate::cloud::Rings;
+use crate::join::PACKETS_TO_IDENTIFY;
 use crate::log::{Channel, Log};
 use crate::options::LidarOptions;
 use crate::order::{Sequencer, device_gap_us};
@@ -77,6 +78,8 @@ pub enum Content {
 pub struct PacketsSurvey {
     /// The sensor, by name.
     pub sensor: String,
+    /// Whether it is the one whose packets are read; of another, only their number is known.
+    pub is_hdl32e: bool,
     /// What each firing returns, where the packets say so.
     pub return_mode: Option<&'static str>,
     /// Packets there are.
@@ -85,6 +88,13 @@ pub struct PacketsSurvey {
     pub n_missing: u64,
     /// Packets that came late; they are put in order.
     pub n_late: u64,
+    /// Packets with the very stamp of the one before, of a device whose clock goes on: the stamp is
+    /// that of a message.
+    pub n_same_stamp: u64,
+    /// Steps of the stamps against the device clock.
+    pub n_stamp_steps: u64,
+    /// The largest of them \[s\].
+    pub largest_stamp_step_s: f64,
     /// Whole turns.
     pub n_turns: usize,
     /// Turns a second, median \[Hz\].
@@ -98,6 +108,30 @@ pub struct PacketsSurvey {
 }
 
 impl PacketsSurvey {
+    fn of_another(sensor: String, n_packets: u64) -> Self {
+        Self {
+            sensor,
+            is_hdl32e: false,
+            return_mode: None,
+            n_packets,
+            n_missing: 0,
+            n_late: 0,
+            n_same_stamp: 0,
+            n_stamp_steps: 0,
+            largest_stamp_step_s: 0.0,
+            n_turns: 0,
+            spin_hz: None,
+            return_share: Vec::new(),
+            dead_lasers: String::new(),
+            clock: ClockSurvey::Still,
+        }
+    }
+
+    /// Whether the packets of a message have one stamp, so that the device clock tells time better.
+    pub fn is_stamped_by_message(&self) -> bool {
+        self.n_packets < 2 * self.n_same_stamp
+    }
+
     /// The laser with returns that is nearest to the horizontal one, where that has none.
     pub fn stand_in(&self) -> Option<usize> {
         let has_returns = |laser: &usize| self.return_share.get(*laser).is_some_and(|&s| s > 0.0);
@@ -169,8 +203,10 @@ pub fn survey(logs: &[&Log], progress: impl Fn(u64)) -> Survey {
     };
     let mut topics: BTreeMap<TopicKey, Gathered> =
         drive.channels().map(|(_, _, channel)| (key_of(channel), Gathered::default())).collect();
-    let keys: BTreeMap<(usize, u16), TopicKey> =
-        drive.channels().map(|(file, id, channel)| ((file, id), key_of(channel))).collect();
+    let keys: Keys = drive
+        .channels()
+        .map(|(file, id, channel)| ((file, id), (key_of(channel), drive.source(file, id))))
+        .collect();
     let pieces = drive.pieces(|_, _| true);
     for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
         let found: Vec<(BTreeMap<TopicKey, Found>, Dropped)> = window
@@ -194,6 +230,8 @@ pub fn survey(logs: &[&Log], progress: impl Fn(u64)) -> Survey {
 
 /// Topic, schema and encoding.
 type TopicKey = (String, String, String);
+/// The topic of each file's channels, and how its messages are read.
+type Keys = BTreeMap<(usize, u16), (TopicKey, Option<Source>)>;
 
 fn key_of(channel: &Channel) -> TopicKey {
     (channel.topic.clone(), channel.schema.clone(), channel.message_encoding.clone())
@@ -203,6 +241,7 @@ fn key_of(channel: &Channel) -> TopicKey {
 #[derive(Default)]
 struct Found {
     n_messages: u64,
+    source: Option<Source>,
     /// Of the first and the last message.
     log_times: Option<(u64, u64)>,
     packets: Vec<RingPacket>,
@@ -218,7 +257,7 @@ struct Found {
 
 fn look(
     piece: &FilePiece<'_>,
-    keys: &BTreeMap<(usize, u16), TopicKey>,
+    keys: &Keys,
     buffer: &mut Buffer,
 ) -> (BTreeMap<TopicKey, Found>, Dropped) {
     let mut found: BTreeMap<TopicKey, Found> = BTreeMap::new();
@@ -226,9 +265,9 @@ fn look(
     let lost = chunk::messages(piece.log.bytes(), piece.piece, buffer, |header, data| {
         let time = header.log_time;
         match keys.get(&(piece.file, header.channel_id)) {
-            Some(key) => match found.get_mut(key) {
-                Some(found) => found.add(key, time, data),
-                None => found.entry(key.clone()).or_default().add(key, time, data),
+            Some((key, source)) => match found.get_mut(key) {
+                Some(found) => found.add(&key.0, *source, time, data),
+                None => found.entry(key.clone()).or_default().add(&key.0, *source, time, data),
             },
             None => strays.add("messages of channels that the log does not define", 1),
         }
@@ -238,11 +277,12 @@ fn look(
 }
 
 impl Found {
-    fn add(&mut self, (topic, schema, encoding): &TopicKey, time: u64, data: &[u8]) {
+    fn add(&mut self, topic: &str, source: Option<Source>, time: u64, data: &[u8]) {
         self.n_messages += 1;
         let (first, last) = self.log_times.unwrap_or((time, time));
         self.log_times = Some((first.min(time), last.max(time)));
-        let Some(source) = Source::new(schema, encoding) else { return };
+        let Some(source) = source else { return };
+        self.source = Some(source);
         let result = match source.message_type {
             MessageType::VelodyneScan | MessageType::VelodynePacket => {
                 self.add_packets(source, data)
@@ -332,8 +372,6 @@ struct PacketsOfTopic {
     offset_s: f64,
 }
 
-/// Packets that tell the sensor.
-const FIRST_PACKETS: usize = 200;
 /// A device clock this near to the host's is on time \[s\]: GPS receivers and hosts on NTP agree
 /// better; a free-running clock comes this near by chance once in 900 times.
 const ON_TIME_S: f64 = 2.0;
@@ -356,24 +394,31 @@ impl PacketsOfTopic {
         if let Some(first) = self.first.first() {
             self.still &= device_gap_us(first, packet) == 0.0;
         }
-        if self.first.len() < FIRST_PACKETS {
+        if self.first.len() < PACKETS_TO_IDENTIFY {
             self.first.push(*packet);
         }
-        let hour_s = f64::from(HOUR_US) * 1e-6;
-        let host_s = packet.end_ns.rem_euclid(i64::from(HOUR_US) * 1000) as f64 * 1e-9;
-        let offset_s = (host_s - f64::from(packet.device_us) * 1e-6).rem_euclid(hour_s);
-        let offset_s = if hour_s / 2.0 < offset_s { offset_s - hour_s } else { offset_s };
-        self.offset_s = self.offset_s.min(offset_s);
+        if packet.end_ns != 0 {
+            self.offset_s = self.offset_s.min(offset_s(packet));
+        }
         let mut turns = Vec::new();
         self.sequencer.push(packet, |packet| self.cutter.push(packet, &mut turns));
         self.turn_stamps_ns.extend(turns.iter().map(|turn| turn.stamp_ns));
     }
 }
 
+/// Stamp less device clock, past the hour; of the two ways around the shorter \[s\].
+fn offset_s(packet: &RingPacket) -> f64 {
+    let hour_s = f64::from(HOUR_US) * 1e-6;
+    let host_s = packet.end_ns.rem_euclid(i64::from(HOUR_US) * 1000) as f64 * 1e-9;
+    let offset_s = (host_s - f64::from(packet.device_us) * 1e-6).rem_euclid(hour_s);
+    if hour_s / 2.0 < offset_s { offset_s - hour_s } else { offset_s }
+}
+
 impl Gathered {
     fn add(&mut self, found: Found) {
         let all = &mut self.found;
         all.n_messages += found.n_messages;
+        all.source = all.source.or(found.source);
         all.log_times = match (all.log_times, found.log_times) {
             (Some((a, b)), Some((c, d))) => Some((a.min(c), b.max(d))),
             (one, other) => one.or(other),
@@ -406,10 +451,11 @@ impl Gathered {
             (first < last && n_messages > 1)
                 .then(|| (n_messages - 1) as f64 / ((last - first) as f64 * 1e-9))
         });
-        let message_type = Source::new(&schema, &encoding).map(|source| source.message_type);
+        let source = Source::new(&schema, &encoding).or(self.found.source);
+        let message_type = source.map(|source| source.message_type);
         let content = match message_type {
             Some(MessageType::VelodyneScan | MessageType::VelodynePacket) => {
-                self.packets_survey().map_or(Content::Other, Content::Packets)
+                self.packets_survey(dropped).map_or(Content::Other, Content::Packets)
             }
             Some(MessageType::PointCloud2 | MessageType::FoxglovePointCloud) => {
                 Content::Clouds(CloudsSurvey { rings: self.found.rings.medians() })
@@ -419,7 +465,7 @@ impl Gathered {
             }
             Some(pose) if POSE_TYPES.contains(&pose) => {
                 let (trajectory, n_duplicates) = Trajectory::new(self.found.poses);
-                let reason = format!("poses of {topic} with the stamp of another");
+                let reason = format!("poses of {topic} with the stamp of another pose");
                 dropped.add(reason, n_duplicates as u64);
                 Content::Poses(poses_survey(&trajectory))
             }
@@ -428,26 +474,25 @@ impl Gathered {
         TopicSurvey { topic, schema, encoding, n_messages, rate_hz, content }
     }
 
-    fn packets_survey(&mut self) -> Option<PacketsSurvey> {
+    fn packets_survey(&mut self, dropped: &mut Dropped) -> Option<PacketsSurvey> {
+        let foreign = self.found.foreign.iter().max_by_key(|(_, n)| **n);
         let Some(mut packets) = self.packets.take() else {
-            let (model, &n) = self.found.foreign.iter().max_by_key(|(_, n)| **n)?;
-            return Some(PacketsSurvey {
-                sensor: format!("Velodyne {model}"),
-                return_mode: None,
-                n_packets: n,
-                n_missing: 0,
-                n_late: 0,
-                n_turns: 0,
-                spin_hz: None,
-                return_share: Vec::new(),
-                dead_lasers: String::new(),
-                clock: ClockSurvey::Still,
-            });
+            let (model, &n) = foreign?;
+            return Some(PacketsSurvey::of_another(format!("Velodyne {model}"), n));
         };
+        if let Some(other) = sensor::other_sensor(&packets.first) {
+            let name = format!("Velodyne {} ({})", other.name, other.evidence);
+            return Some(PacketsSurvey::of_another(name, packets.n_packets));
+        }
         let mut turns = Vec::new();
         packets.sequencer.flush(&mut |packet| packets.cutter.push(packet, &mut turns));
         let ends = packets.cutter.finish(&mut turns);
         packets.turn_stamps_ns.extend(turns.iter().map(|turn| turn.stamp_ns));
+        dropped.merge(packets.sequencer.dropped);
+        dropped.merge(ends.dropped);
+        for (model, &n) in &self.found.foreign {
+            dropped.add(format!("packets of a Velodyne {model}"), n);
+        }
         let stamps = &packets.turn_stamps_ns;
         let mut periods: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
         periods.sort_unstable();
@@ -455,11 +500,10 @@ impl Gathered {
         let n_blocks = packets.n_packets as f64 * BLOCKS as f64;
         let dead = (0..LASERS).filter(|&laser| self.found.n_returns[laser] == 0);
         let mode = self.found.return_modes.iter().max_by_key(|(_, n)| **n).map(|(mode, _)| *mode);
+        let (n_stamp_steps, largest_stamp_step_s) = packets.cutter.stamp_steps();
         Some(PacketsSurvey {
-            sensor: match sensor::other_sensor(&packets.first) {
-                Some(other) => format!("Velodyne {} ({})", other.name, other.evidence),
-                None => format!("Velodyne {HDL32E}"),
-            },
+            sensor: format!("Velodyne {HDL32E}"),
+            is_hdl32e: true,
             return_mode: [
                 (ReturnMode::Strongest, "strongest"),
                 (ReturnMode::Last, "last"),
@@ -470,6 +514,9 @@ impl Gathered {
             n_packets: packets.n_packets,
             n_missing: ends.n_missing_packets,
             n_late: packets.sequencer.n_late,
+            n_same_stamp: ends.n_same_stamp,
+            n_stamp_steps,
+            largest_stamp_step_s,
             n_turns: stamps.len(),
             spin_hz: period_ns.map(|ns| 1e9 / ns as f64),
             return_share: self.found.n_returns.iter().map(|&n| n as f64 / n_blocks).collect(),
@@ -498,7 +545,8 @@ fn poses_survey(trajectory: &Trajectory) -> PosesSurvey {
     };
     let steps = || poses.windows(2).map(|pair| (&pair[0], &pair[1]));
     PosesSurvey {
-        path_m: steps().map(|(a, b)| a.pose.distance_m(&b.pose)).sum(),
+        // From 0, since the sum of nothing is -0.
+        path_m: steps().fold(0.0, |path, (a, b)| path + a.pose.distance_m(&b.pose)),
         widest_gap_s: steps()
             .map(|(a, b)| b.stamp_ns.saturating_sub(a.stamp_ns) as f64 * 1e-9)
             .fold(0.0, f64::max),

@@ -5,9 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use dataset::Dropped;
 use messages::{Encoding, MessageType, Source, is_whole};
 
-use crate::IngestError;
 use crate::chunk::{self, Buffer};
 use crate::log::{Channel, Contents, Log, Piece};
+use crate::{IngestError, LIDAR_TYPES, POSE_TYPES};
 
 /// The files of one drive, in order of time, and what they hold.
 pub(crate) struct Drive<'a> {
@@ -76,6 +76,14 @@ impl<'a> Drive<'a> {
         })
     }
 
+    /// How the messages of a channel are read, lidars before poses where it has no schema.
+    pub(crate) fn source(&self, file: usize, id: u16) -> Option<Source> {
+        let (log, contents) = &self.files[file];
+        let recognise = |types| recognise(log, contents, id, types);
+        let named = contents.channels.get(&id)?.source();
+        named.or_else(|| recognise(&LIDAR_TYPES)).or_else(|| recognise(&POSE_TYPES))
+    }
+
     /// What of the files' structure is broken.
     pub(crate) fn dropped(&self) -> Dropped {
         let mut dropped = Dropped::default();
@@ -105,10 +113,7 @@ impl<'a> Drive<'a> {
         for (log, contents) in &self.files {
             let mut sources = BTreeMap::new();
             for (&id, channel) in contents.channels.iter().filter(|(_, c)| c.topic == name) {
-                let source = match channel.schema.is_empty() {
-                    false => channel.source(),
-                    true => recognise(log, contents, id, channel, types),
-                };
+                let source = channel.source().or_else(|| recognise(log, contents, id, types));
                 match source.filter(|source| types.contains(&source.message_type)) {
                     Some(source) => {
                         if channel.schema.is_empty() {
@@ -134,22 +139,21 @@ impl<'a> Drive<'a> {
             topic.notes.dedup();
             return Ok(topic);
         }
-        let (path, topics) = (self.path(), self.suitable(types));
+        let (path, remedy) = (self.path(), self.remedy(key, types));
         Err(match unfit.first() {
-            None => IngestError::NoTopic { path, topic: topic.name, key, topics },
+            None => IngestError::NoTopic { path, topic: topic.name, remedy },
             Some(channel) => IngestError::WrongType {
                 path,
                 topic: topic.name,
-                key,
                 found: channel.describe(),
                 expected: expected(types),
-                topics,
+                remedy,
             },
         })
     }
 
-    /// Topics that would do, or else all of them, with their types.
-    fn suitable(&self, types: &[MessageType]) -> String {
+    /// To which topics an option can be set, or else which topics there are.
+    fn remedy(&self, key: &str, types: &[MessageType]) -> String {
         let channels = || self.channels().map(|(_, _, channel)| channel);
         let list = |fits: &dyn Fn(&Channel) -> bool| {
             let fitting: BTreeSet<String> = channels()
@@ -163,11 +167,24 @@ impl<'a> Drive<'a> {
         };
         match list(&fits) {
             none if none.is_empty() => match list(&|_| true) {
-                none if none.is_empty() => "none would do; the log has no topic at all".to_owned(),
+                none if none.is_empty() => match self.dropped() {
+                    whole if whole.is_empty() => "it has no topic at all".to_owned(),
+                    broken => format!("it has no topic that can be read ({broken})"),
+                },
                 all => format!("none would do; the log has {all}"),
             },
-            some => some,
+            some => format!("set `{key}` to one of: {some}"),
         }
+    }
+
+    /// Messages of the topics, where the files say how many.
+    pub(crate) fn n_messages(&self, topics: &[&Topic]) -> Option<u64> {
+        let is_wanted = |file, id| topics.iter().any(|topic| topic.source(file, id).is_some());
+        let wanted = self.channels().filter(|&(file, id, _)| is_wanted(file, id));
+        // What the files claim may be more than can be counted.
+        wanted
+            .map(|(_, _, channel)| channel.n_messages)
+            .try_fold(0u64, |sum, n| Some(sum.saturating_add(n?)))
     }
 
     /// The pieces that hold, or may hold, messages of the topics, in order.
@@ -201,13 +218,8 @@ fn expected(types: &[MessageType]) -> String {
 
 /// How the messages of a channel without schema are read: as the only one of the types that its
 /// first message decodes as, wholly and with values that make sense.
-fn recognise(
-    log: &Log,
-    contents: &Contents,
-    id: u16,
-    channel: &Channel,
-    types: &[MessageType],
-) -> Option<Source> {
+fn recognise(log: &Log, contents: &Contents, id: u16, types: &[MessageType]) -> Option<Source> {
+    let channel = contents.channels.get(&id).filter(|channel| channel.schema.is_empty())?;
     let mut buffer = Buffer::default();
     let mut first: Option<Vec<u8>> = None;
     for piece in contents.pieces.iter().filter(|piece| piece.may_hold(|other| other == id)) {

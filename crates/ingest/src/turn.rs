@@ -1,6 +1,7 @@
 //! The firings of one turn -> a scan.
 
 use std::f64::consts::TAU;
+use std::sync::LazyLock;
 
 use dataset::{RangeLimits, Scan};
 use messages::hdl32e::{AZIMUTH_COUNTS, METRES_PER_COUNT, PERIODS_PER_BLOCK};
@@ -29,6 +30,8 @@ pub(crate) struct Turn {
     /// When the first firing of the laser happened \[ns\].
     pub(crate) stamp_ns: i64,
     pub(crate) firings: Vec<Firing>,
+    /// The farthest azimuth of a firing, in its counts.
+    pub(crate) reached: u32,
     /// Sum of the steps from each firing to where the next is due \[0.01 deg\].
     pub(crate) swept: u64,
     /// Azimuth passed without a packet \[0.01 deg\], up to the next firing there is.
@@ -71,17 +74,20 @@ pub(crate) struct ScanMaker {
     /// Cosine of the beam's elevation: a range's share in the plane.
     horizontal: f64,
     /// Cosine and sine of each whole count of azimuth.
-    directions: Vec<[f64; 2]>,
+    directions: &'static [[f64; 2]],
 }
+
+/// The same for every log.
+static DIRECTIONS: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
+    let direction = |count| {
+        let (sin, cos) = libm::sincos(f64::from(count) * TAU / f64::from(AZIMUTH_COUNTS));
+        [cos, sin]
+    };
+    (0..AZIMUTH_COUNTS).map(direction).collect()
+});
 
 impl ScanMaker {
     pub(crate) fn new(options: &LidarOptions, laser: Laser) -> Self {
-        let directions = (0..AZIMUTH_COUNTS)
-            .map(|count| {
-                let (sin, cos) = libm::sincos(f64::from(count) * TAU / f64::from(AZIMUTH_COUNTS));
-                [cos, sin]
-            })
-            .collect();
         Self {
             limits: RangeLimits { min_m: options.range_min_m, max_m: options.range_max_m },
             side: if options.upside_down { 1.0 } else { -1.0 },
@@ -89,7 +95,7 @@ impl ScanMaker {
                 0.0 => 1.0,
                 deg => libm::cos(deg.to_radians()),
             },
-            directions,
+            directions: &DIRECTIONS,
         }
     }
 

@@ -3,7 +3,7 @@
 use dataset::Dropped;
 use messages::hdl32e::{AZIMUTH_COUNTS, BLOCK_PERIOD_NS, LASER_PERIOD_NS};
 
-use crate::clock::Stamper;
+use crate::clock::{HostClock, Stamper};
 use crate::options::LidarOptions;
 use crate::order::device_gap_us;
 use crate::ring::RingPacket;
@@ -12,6 +12,15 @@ use crate::turn::{FINE_PER_COUNT, FINE_TURN, Firing, Turn};
 
 /// A step over more than this many ordinary ones means that packets are missing.
 const MAX_STEPS: f64 = 2.5;
+/// A step back of up to this is jitter of the encoder \[0.01 deg\]: an HDL-32E's is a few counts, a
+/// worn one's some more.
+const MAX_JITTER: f64 = 100.0;
+/// Stamps of two packets that follow each other are no farther apart than this, whatever the
+/// network and the host did \[us\].
+const STAMPS_ON_TIME_US: f64 = 20e3;
+/// A device clock that stands still leaves it to the stamps to tell that turns are missing: by this
+/// share of a turn's time. Less may be a host that was busy.
+const MISSING_TURN: f64 = 0.9;
 /// Time between two packets beyond which the recording is taken to have been interrupted \[us\].
 const INTERRUPTED_US: f64 = 2e6;
 /// Firings in a turn beyond which the sensor is taken to have stalled: 0.46 s, where the slowest
@@ -26,8 +35,12 @@ pub(crate) struct TurnCutter {
     laser: Laser,
     max_missing_share: f64,
     stamper: Stamper,
+    host: HostClock,
     /// The packet whose last step the next packet will tell.
     pending: Option<RingPacket>,
+    /// When the pending packet was due to end, by the number of packets since the last stamp that
+    /// was later than due \[ns\].
+    due_ns: i64,
     turn: Turn,
     ends: Ends,
 }
@@ -39,6 +52,10 @@ pub(crate) struct Ends {
     pub(crate) n_partial: usize,
     /// Packets that are missing between those there are.
     pub(crate) n_missing_packets: u64,
+    /// Jumps of the device clock that azimuth and stamps do not share.
+    pub(crate) n_clock_jumps: u64,
+    /// Packets with the very stamp of the one before, of a device whose clock goes on.
+    pub(crate) n_same_stamp: u64,
     /// Turns with holes, and what else was lost.
     pub(crate) dropped: Dropped,
 }
@@ -65,7 +82,9 @@ impl TurnCutter {
             laser,
             max_missing_share: options.max_missing_share,
             stamper: Stamper::new(options.clock),
+            host: HostClock::default(),
             pending: None,
+            due_ns: i64::MIN,
             turn: Turn::default(),
             ends: Ends::default(),
         }
@@ -73,8 +92,15 @@ impl TurnCutter {
 
     /// Adds the next packet; complete turns go to `turns`.
     pub(crate) fn push(&mut self, packet: &RingPacket, turns: &mut Vec<Turn>) {
+        self.host.push(packet);
+        let due_ns = self.due_ns.saturating_add(packet.period_ns());
+        self.due_ns = due_ns.max(packet.end_ns);
         let Some(pending) = self.pending.replace(*packet) else { return };
-        match link(&pending, packet) {
+        let between = Between::new(&pending, packet);
+        self.ends.n_same_stamp += u64::from(between.stamps_us == 0.0 && between.device_us != 0.0);
+        self.ends.n_clock_jumps += u64::from(between.clock_jumped() && between.device_us != 0.0);
+        let late_us = (packet.end_ns - due_ns.min(packet.end_ns)) as f64 / 1000.0;
+        match between.link(late_us) {
             Link::Next(step) => self.add(&pending, step, turns),
             Link::Hole { turned, n_packets } => {
                 self.add(&pending, own_step(&pending), turns);
@@ -88,8 +114,15 @@ impl TurnCutter {
                     .add("interruptions of the packet stream (clock jump or pause)", 1);
                 self.interrupt(turns);
                 self.stamper.reset();
+                self.host.reset();
+                self.due_ns = packet.end_ns;
             }
         }
+    }
+
+    /// Steps of the stamps against the device clock: their number and the largest \[s\].
+    pub(crate) fn stamp_steps(&self) -> (u64, f64) {
+        (self.host.n_steps, self.host.largest_s)
     }
 
     /// Adds the last packet and ends the last turn.
@@ -117,14 +150,15 @@ impl TurnCutter {
                 if k + 1 < n { step_within(azimuth, packet.azimuth[k + 1]) } else { last_step };
             let fine = u32::from(azimuth) * FINE_PER_COUNT + laser as u32 * step;
             let fine_azimuth = if fine < FINE_TURN { fine } else { fine - FINE_TURN };
-            // Back by more than half a turn is on past 0; back by less is jitter.
-            let passed_zero = self
-                .turn
-                .firings
-                .last()
-                .is_some_and(|last| fine_azimuth + FINE_TURN / 2 < last.fine_azimuth);
-            if passed_zero {
+            if self.turn.firings.is_empty() && !self.turn.starts_at_cut {
+                self.turn.reached = fine_azimuth;
+            }
+            // Back by more than half a turn is on past 0; back by less, past 0 too, is jitter.
+            if fine_azimuth + FINE_TURN / 2 < self.turn.reached {
                 self.cut(turns);
+            }
+            if fine_azimuth < self.turn.reached + FINE_TURN / 2 {
+                self.turn.reached = self.turn.reached.max(fine_azimuth);
             }
             if self.turn.firings.is_empty() {
                 self.turn.stamp_ns = first_ns + k as i64 * BLOCK_PERIOD_NS;
@@ -145,18 +179,19 @@ impl TurnCutter {
     /// or in the turns.
     fn skip(&mut self, turned: u64, turns: &mut Vec<Turn>) {
         let whole_turn = u64::from(AZIMUTH_COUNTS);
-        let at = self.turn.firings.last().map_or(0, |last| last.fine_azimuth / FINE_PER_COUNT);
-        let at = u64::from(at);
+        let at = u64::from(self.turn.reached / FINE_PER_COUNT);
         // The last firing's own step is swept already.
         let missed = turned.saturating_sub(u64::from(self.turn.last_step));
         let turns_passed = (at + turned) / whole_turn;
+        let now_at = (at + turned) % whole_turn;
         if turns_passed == 0 {
             self.turn.miss(missed);
-            return;
+        } else {
+            self.turn.miss(missed.min(whole_turn.saturating_sub(at)));
+            self.cut(turns);
+            self.turn.miss(now_at);
         }
-        self.turn.miss(missed.min(whole_turn.saturating_sub(at)));
-        self.cut(turns);
-        self.turn.miss((at + turned) % whole_turn);
+        self.turn.reached = now_at as u32 * FINE_PER_COUNT;
         if turns_passed > 1 {
             self.ends.dropped.add("turns of which every packet is missing", turns_passed - 1);
         }
@@ -189,7 +224,7 @@ impl TurnCutter {
     fn keep(&mut self, turn: Turn, turns: &mut Vec<Turn>) {
         if self.max_missing_share < turn.missing_share() {
             let share = self.max_missing_share * 100.0;
-            let reason = format!("turns of which more than {share} % of the packets are missing");
+            let reason = format!("turns of which more than {share} % are missing");
             self.ends.dropped.add(reason, 1);
         } else {
             turns.push(turn);
@@ -197,18 +232,17 @@ impl TurnCutter {
     }
 }
 
-/// Azimuth from one block to the next \[0.01 deg\], clockwise.
-fn step(from: u16, to: u16) -> u32 {
-    let (from, to) = (u32::from(from), u32::from(to));
-    if from <= to { to - from } else { to + u32::from(AZIMUTH_COUNTS) - from }
+/// Azimuth from one block to the next \[0.01 deg\], clockwise: of the two ways around the shorter,
+/// negative for a step back.
+fn signed_step(from: u16, to: u16) -> i32 {
+    let turn = i32::from(AZIMUTH_COUNTS);
+    let step = (i32::from(to) - i32::from(from)).rem_euclid(turn);
+    if turn / 2 < step { step - turn } else { step }
 }
 
 /// The step within a packet; a sensor turns one way, so that a step back is encoder jitter.
 fn step_within(from: u16, to: u16) -> u32 {
-    match step(from, to) {
-        back if u32::from(AZIMUTH_COUNTS) / 2 < back => 0,
-        ahead => ahead,
-    }
+    signed_step(from, to).max(0).unsigned_abs()
 }
 
 /// The last step of a packet as its step before tells it.
@@ -217,45 +251,101 @@ fn own_step(packet: &RingPacket) -> u32 {
     step_within(packet.azimuth[n - 2], packet.azimuth[n - 1])
 }
 
-/// How a packet lies to the one fired before it.
-pub(crate) fn link(earlier: &RingPacket, later: &RingPacket) -> Link {
-    let n = usize::from(earlier.n_firings);
-    let between = step(earlier.azimuth[n - 1], later.azimuth[0]);
-    let mean_step = f64::from(step(earlier.azimuth[0], earlier.azimuth[n - 1])) / (n - 1) as f64;
-    let period_us = earlier.period_ns() as f64 / 1000.0;
-    let device_us = device_gap_us(earlier, later);
-    let stamps_us = later.end_ns.saturating_sub(earlier.end_ns) as f64 / 1000.0;
-    if device_us < 0.0 {
-        return Link::Interrupted;
+/// How one packet lies to the one fired before it, by azimuth and by both clocks.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Between {
+    /// Azimuth from the last firing of the one to the first of the other \[0.01 deg\].
+    step: i32,
+    /// An ordinary step within the first of them \[0.01 deg\].
+    mean_step: f64,
+    /// Time that a packet takes \[us\].
+    period_us: f64,
+    /// By the device clock \[us\].
+    pub(crate) device_us: f64,
+    /// By the stamps \[us\].
+    pub(crate) stamps_us: f64,
+}
+
+impl Between {
+    pub(crate) fn new(earlier: &RingPacket, later: &RingPacket) -> Self {
+        let n = usize::from(earlier.n_firings);
+        let turned = step_within(earlier.azimuth[0], earlier.azimuth[n - 1]);
+        Self {
+            step: signed_step(earlier.azimuth[n - 1], later.azimuth[0]),
+            mean_step: f64::from(turned) / (n - 1) as f64,
+            period_us: earlier.period_ns() as f64 / 1000.0,
+            device_us: device_gap_us(earlier, later),
+            stamps_us: later.end_ns.saturating_sub(earlier.end_ns) as f64 / 1000.0,
+        }
     }
-    // The device clock is the finer one; where it stands still the stamps must do. Where the two
-    // disagree, one of them has jumped, or a whole number of hours has passed.
-    let gap_us = if device_us == 0.0 { stamps_us } else { device_us };
-    let disagree = device_us != 0.0 && INTERRUPTED_US < (stamps_us - device_us).abs();
-    if INTERRUPTED_US < gap_us || disagree {
-        return Link::Interrupted;
+
+    /// Whether the azimuth goes on as it does from one packet to the next.
+    fn goes_on(&self) -> bool {
+        let most = MAX_STEPS * self.mean_step.max(1.0);
+        (-MAX_JITTER..=most).contains(&f64::from(self.step))
     }
-    // Stamps of packets that the host read in one go are of one moment: not late is on time.
-    let on_time = gap_us < if device_us == 0.0 { 0.02e6 } else { 1.5 * period_us };
-    if on_time && f64::from(between) <= MAX_STEPS * mean_step.max(1.0) {
-        return Link::Next(between);
+
+    /// Whether azimuth and stamps go on: whatever the device clock says, it has jumped.
+    pub(crate) fn clock_jumped(&self) -> bool {
+        let on_time = (0.0..1.5 * self.period_us).contains(&self.device_us);
+        !on_time && self.goes_on() && (0.0..STAMPS_ON_TIME_US).contains(&self.stamps_us)
     }
-    // The time that passed tells how many whole turns the azimuths hide.
-    let block_us = BLOCK_PERIOD_NS as f64 / 1000.0;
-    let steps = (gap_us - period_us) / block_us + 1.0;
-    let expected = steps.max(0.0) * mean_step;
-    let hidden_turns =
-        ((expected - f64::from(between)) / f64::from(AZIMUTH_COUNTS)).round().max(0.0) as u64;
-    Link::Hole {
-        turned: u64::from(between) + hidden_turns * u64::from(AZIMUTH_COUNTS),
-        n_packets: ((gap_us / period_us).round() as u64).saturating_sub(1),
+
+    /// The time of a whole turn \[us\].
+    fn turn_us(&self) -> f64 {
+        let n_blocks = f64::from(AZIMUTH_COUNTS) / self.mean_step.max(1.0);
+        n_blocks * BLOCK_PERIOD_NS as f64 / 1000.0
+    }
+
+    /// How the later packet lies to the earlier one. `late_us` is how much later than due the stamp
+    /// is, for a device clock that stands still.
+    fn link(&self, late_us: f64) -> Link {
+        if self.clock_jumped() && self.device_us != 0.0 {
+            return Link::Next(self.step_ahead());
+        }
+        if self.device_us < 0.0 {
+            return Link::Interrupted;
+        }
+        // The device clock is the finer one. Where it stands still the stamps have to do, of which a
+        // whole message can have the same: only a turn's time is told from them.
+        let stands_still = self.device_us == 0.0;
+        let gap_us = match stands_still {
+            true if late_us < MISSING_TURN * self.turn_us() => self.period_us,
+            true => self.period_us + late_us,
+            false => self.device_us,
+        };
+        let disagree = !stands_still && INTERRUPTED_US < (self.stamps_us - self.device_us).abs();
+        if INTERRUPTED_US < gap_us || disagree {
+            return Link::Interrupted;
+        }
+        if gap_us < 1.5 * self.period_us && self.goes_on() {
+            return Link::Next(self.step_ahead());
+        }
+        // The time that passed tells how many whole turns the azimuths hide.
+        let turn = f64::from(AZIMUTH_COUNTS);
+        let step = match self.goes_on() {
+            true => self.step_ahead(),
+            false => self.step.rem_euclid(i32::from(AZIMUTH_COUNTS)).unsigned_abs(),
+        };
+        let block_us = BLOCK_PERIOD_NS as f64 / 1000.0;
+        let n_steps = (gap_us - self.period_us) / block_us + 1.0;
+        let expected = n_steps.max(0.0) * self.mean_step;
+        let hidden_turns = ((expected - f64::from(step)) / turn).round().max(0.0) as u64;
+        Link::Hole {
+            turned: u64::from(step) + hidden_turns * u64::from(AZIMUTH_COUNTS),
+            n_packets: ((gap_us / self.period_us).round() as u64).saturating_sub(1),
+        }
+    }
+
+    fn step_ahead(&self) -> u32 {
+        self.step.max(0).unsigned_abs()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use messages::hdl32e::{BLOCKS, HOUR_US};
+    use messages::hdl32e::{BLOCKS, HOUR_US, PACKET_PERIOD_NS};
 
     use crate::ring::tests::packets;
     use crate::turn::ScanMaker;
@@ -364,7 +454,7 @@ mod tests {
             reasons(&ends),
             [
                 ("turns of which every packet is missing", 2),
-                ("turns of which more than 25 % of the packets are missing", 2)
+                ("turns of which more than 25 % are missing", 2)
             ]
         );
         assert_eq!((turns.len(), ends.n_partial, ends.n_missing_packets), (1, 2, 450));
@@ -399,14 +489,25 @@ mod tests {
         assert_eq!((turns.len(), ends.n_partial), (4, 4));
     }
 
+    /// Azimuth and stamps go on: no turn is lost for it.
     #[test]
-    fn a_clock_that_is_set_back_is_an_interruption() {
-        let mut set_back = packets(800, 35_000, 20);
-        for packet in &mut set_back[400..] {
-            let device_us = u64::from(packet.device_us) + u64::from(HOUR_US) - 1_000_000;
-            packet.device_us = (device_us % u64::from(HOUR_US)) as u32;
+    fn a_device_clock_that_jumps_alone_costs_nothing() {
+        for jump_us in [-1_000_000i64, -200_000, 500_000, 1_800_000_000] {
+            let mut jumping = packets(800, 35_000, 20);
+            for packet in &mut jumping[400..] {
+                let device_us = i64::from(packet.device_us) + jump_us;
+                packet.device_us = device_us.rem_euclid(i64::from(HOUR_US)) as u32;
+            }
+            let (turns, ends) = cut(&jumping);
+            assert_eq!((turns.len(), ends.n_clock_jumps, reasons(&ends)), (5, 1, vec![]));
         }
-        let (turns, ends) = cut(&set_back);
+        // With the stamps it is a pause.
+        let mut paused = packets(800, 35_000, 20);
+        for packet in &mut paused[400..] {
+            packet.device_us = (packet.device_us + 600_000_000) % HOUR_US;
+            packet.end_ns += 600_000_000_000;
+        }
+        let (turns, ends) = cut(&paused);
         let expected = "interruptions of the packet stream (clock jump or pause)";
         assert_eq!((turns.len(), reasons(&ends)), (4, vec![(expected, 1)]));
     }
@@ -434,12 +535,23 @@ mod tests {
         assert!(ends.dropped.iter().any(|(reason, _)| reason.contains("stalled")));
     }
 
+    /// One count back: within a packet, at its border, and back over azimuth 0.
     #[test]
     fn jitter_of_the_encoder_cuts_no_turn() {
-        let mut packets = packets(400, 35_000, 20);
-        packets[100].azimuth[5] = packets[100].azimuth[4] - 1;
-        let (turns, ends) = cut(&packets);
-        assert_eq!((turns.len(), ends.dropped.is_empty()), (2, true));
+        let clean = packets(400, 35_000, 20);
+        // Block 50 is the first past azimuth 0: packet 4, block 2.
+        for (packet, block) in [(100, 5), (100, 0), (4, 3)] {
+            let mut jittery = clean.clone();
+            let before = match block {
+                0 => jittery[packet - 1].azimuth[BLOCKS - 1],
+                _ => jittery[packet].azimuth[block - 1],
+            };
+            jittery[packet].azimuth[block] = (before + 35_999) % 36_000;
+            let (turns, ends) = cut(&jittery);
+            let holes: f32 = turns.iter().map(|turn| scan(turn).hole_deg).sum();
+            let found = (turns.len(), ends.n_missing_packets, ends.dropped.is_empty(), holes);
+            assert_eq!(found, (2, 0, true, 0.0), "packet {packet}, block {block}");
+        }
     }
 
     #[test]
@@ -448,6 +560,13 @@ mod tests {
         packets.iter_mut().for_each(|packet| packet.device_us = 7);
         let (turns, ends) = cut(&packets[..400]);
         assert_eq!((turns.len(), ends.dropped.is_empty()), (2, true));
+        // The stamps of a whole message may be the same.
+        let mut by_message = packets[..400].to_vec();
+        for (k, packet) in by_message.iter_mut().enumerate() {
+            packet.end_ns = 1_000_000_000 + (k as i64 / 181 + 1) * 181 * PACKET_PERIOD_NS;
+        }
+        let (turns, ends) = cut(&by_message);
+        assert_eq!((turns.len(), ends.n_missing_packets), (2, 0));
         // Three turns missing show in the stamps.
         packets.drain(200..650);
         let (turns, ends) = cut(&packets);

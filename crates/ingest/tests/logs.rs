@@ -146,7 +146,8 @@ fn a_log_cut_at_any_byte_keeps_what_it_holds() {
                     most = most.max(scans.len());
                 }
                 Err(
-                    IngestError::NotMcap { .. }
+                    IngestError::Empty { .. }
+                    | IngestError::NotMcap { .. }
                     | IngestError::NoTopic { .. }
                     | IngestError::NoScans { .. }
                     | IngestError::NoPoses { .. },
@@ -317,11 +318,12 @@ fn no_poses_and_no_scans_are_errors() {
 
 #[test]
 fn what_is_no_log_is_refused() {
-    for (bytes, found) in
-        [(&b""[..], "starts with nothing"), (b"#ROSBAG V2.0", "starts with 23 52 4f 53")]
-    {
+    for (bytes, says) in [
+        (&b""[..], "drive.mcap is empty"),
+        (b"#ROSBAG V2.0", "is no MCAP log: it starts with 23 52 4f 53"),
+    ] {
         let message = ingest_bytes(bytes, &options("/scan", None)).unwrap_err().to_string();
-        assert!(message.contains("is no MCAP log") && message.contains(found), "{message}");
+        assert!(message.contains(says), "{message}");
     }
     let missing = ingest_file(Path::new("no/such.mcap"), &options("/scan", None)).unwrap_err();
     assert_eq!(missing.to_string(), "cannot read no/such.mcap");

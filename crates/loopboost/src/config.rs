@@ -167,6 +167,9 @@ impl Config {
         let options: LogOptions =
             Value::Table(merged).try_into().map_err(|e| explain(Path::new(&section), &e))?;
         options.lidar.check().map_err(|e| usage(format!("{section}: {e}")))?;
+        if let Some(pose) = &options.pose {
+            pose.check().map_err(|e| usage(format!("{section}: {e}")))?;
+        }
         Ok(options)
     }
 
@@ -179,6 +182,9 @@ impl Config {
             ));
         }
         self.ingest.lidar.check()?;
+        if let Some(pose) = &self.ingest.pose {
+            pose.check()?;
+        }
         self.subsample.check()?;
         self.label.check()?;
         self.featurize.check()?;
@@ -357,6 +363,6 @@ mod tests {
             (b.lidar.range_max_m - 30.0).abs() < 1e-12
                 && (a.lidar.range_max_m - 70.0).abs() < 1e-12
         );
-        assert_eq!(b.pose.unwrap().topic, "/pose");
+        assert_eq!(b.pose.unwrap().topic.as_deref(), Some("/pose"));
     }
 }

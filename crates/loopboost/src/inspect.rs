@@ -5,20 +5,24 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 use dataset::{Dropped, FULL_RING_DEG};
-use ingest::{ClockSurvey, Content, Log, MessageType, PacketsSurvey, Survey, TopicSurvey, survey};
+use ingest::{
+    ClockSurvey, Content, HORIZONTAL_LASER, MessageType, PacketsSurvey, Survey, TopicSurvey, survey,
+};
 use serde_json::json;
 
 use crate::logs::{self, LogFile};
 use crate::run::progress_bar;
+use crate::stages::ingest::open;
 
 /// Prints what a log holds; writes a pipeline for it if asked to.
 pub(crate) fn inspect(path: &Path, write: Option<&Path>, as_json: bool) -> Result<Dropped> {
     let drive = drive(path)?;
-    let logs = drive.paths.iter().map(|path| Log::open(path)).collect::<Result<Vec<_>, _>>()?;
+    let (logs, lost) = open(&drive)?;
     let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
     let progress = progress_bar(n_bytes as u64, format!("inspect {}", drive.name), true);
-    let survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
+    let mut survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
     progress.finish_and_clear();
+    survey.dropped.merge(lost);
     let fit = Fit::of(&survey);
     let missing = fit.missing();
     let from = write.and_then(Path::parent);
@@ -60,9 +64,9 @@ fn drive(path: &Path) -> Result<LogFile> {
     match drives.len() {
         1 => Ok(drives.remove(0)),
         n => Err(anyhow!(
-            "{} holds {n} logs, of which none goes on where another ends; inspect one: {}",
+            "{} holds {n} drives; inspect one: {}",
             path.display(),
-            drives.iter().map(|d| d.paths[0].display().to_string()).collect::<Vec<_>>().join(", ")
+            drives.iter().map(LogFile::place).collect::<Vec<_>>().join(", ")
         )),
     }
 }
@@ -101,6 +105,9 @@ fn print(path: &Path, drive: &LogFile, survey: &Survey) {
             },
             Content::Poses(poses) => {
                 let (x_m, y_m) = poses.extent_m;
+                if topic.n_messages == 0 {
+                    continue;
+                }
                 out!(
                     "  a path of {:.1} m within {x_m:.1} x {y_m:.1} m; at most {:.2} s between two poses",
                     poses.path_m,
@@ -114,6 +121,10 @@ fn print(path: &Path, drive: &LogFile, survey: &Survey) {
 }
 
 fn print_packets(packets: &PacketsSurvey) {
+    if !packets.is_hdl32e {
+        out!("  {} packets of a {}, which cannot be ingested", packets.n_packets, packets.sensor);
+        return;
+    }
     let mode = packets.return_mode.map_or("unknown", |mode| mode);
     let spin = packets.spin_hz.map_or("?".to_owned(), |hz| format!("{hz:.2}"));
     out!(
@@ -131,9 +142,9 @@ fn print_packets(packets: &PacketsSurvey) {
         "" => "every laser has returns".to_owned(),
         dead => format!("no return from lasers {dead}"),
     };
-    if let Some(share) = packets.return_share.get(HORIZONTAL) {
+    if let Some(share) = packets.return_share.get(HORIZONTAL_LASER) {
         out!(
-            "  {dead}; laser {HORIZONTAL}, the horizontal one, returns from {:.0} % of its firings",
+            "  {dead}; laser {HORIZONTAL_LASER}, the horizontal one, returns from {:.0} % of its firings",
             share * 100.0
         );
     }
@@ -146,10 +157,14 @@ fn print_packets(packets: &PacketsSurvey) {
             out!("  the device clock runs free: the stamps are {offset_s:.1} s past it");
         }
     }
+    if let n @ 1.. = packets.n_stamp_steps {
+        let largest_s = packets.largest_stamp_step_s;
+        out!("  the stamps step {n} times against the device clock, by up to {largest_s:.2} s");
+    }
+    if packets.is_stamped_by_message() {
+        out!("  packets of a message have one stamp: the device clock tells their time");
+    }
 }
-
-/// The horizontal laser of an HDL-32E, in firing order.
-const HORIZONTAL: usize = 15;
 
 fn kind(topic: &TopicSurvey) -> String {
     let schema = if topic.schema.is_empty() { "no schema" } else { &topic.schema };
@@ -160,13 +175,15 @@ fn kind(topic: &TopicSurvey) -> String {
 struct Fit<'a> {
     lidar: Option<&'a TopicSurvey>,
     pose: Option<&'a TopicSurvey>,
+    /// A topic of packets that give no whole turn.
+    lidar_without_turn: Option<&'a TopicSurvey>,
 }
 
 impl<'a> Fit<'a> {
     /// Packets rather than what a driver made of them; of poses that move, the most.
     fn of(survey: &'a Survey) -> Self {
         let rank = |topic: &TopicSurvey| match &topic.content {
-            Content::Packets(packets) if packets.n_turns > 0 => 3,
+            Content::Packets(packets) if packets.is_hdl32e && packets.n_turns > 0 => 3,
             Content::Clouds(clouds) if !clouds.rings.is_empty() => 2,
             Content::Scans(_) => 1,
             _ => 0,
@@ -178,14 +195,20 @@ impl<'a> Fit<'a> {
         let lidars = survey.topics.iter().filter(|topic| rank(topic) > 0);
         let poses = survey.topics.iter().filter(|topic| moves(topic));
         Self {
-            lidar: lidars.max_by_key(|topic| (rank(topic), topic.n_messages)),
-            pose: poses.max_by_key(|topic| topic.n_messages),
+            // Of equals the first, by name.
+            lidar: lidars.rev().max_by_key(|topic| (rank(topic), topic.n_messages)),
+            pose: poses.rev().max_by_key(|topic| topic.n_messages),
+            lidar_without_turn: survey.topics.iter().find(
+                |topic| matches!(&topic.content, Content::Packets(packets) if packets.n_turns == 0),
+            ),
         }
     }
 
     fn missing(&self) -> Vec<String> {
         let mut missing = Vec::new();
-        if self.lidar.is_none() {
+        if let (None, Some(topic)) = (self.lidar, self.lidar_without_turn) {
+            missing.push(format!("whole turns: the packets of {} give none", topic.topic));
+        } else if self.lidar.is_none() {
             let names = ingest::LIDAR_TYPES.map(MessageType::name).join(", ");
             missing.push(format!("a topic that scans could come from, one of {names}"));
         }
@@ -221,10 +244,13 @@ impl<'a> Fit<'a> {
         writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;
         match &lidar.content {
             Content::Packets(packets) => {
+                if packets.is_stamped_by_message() {
+                    writeln!(text, "clock = \"device\"   # packets of a message have one stamp")?;
+                }
                 if let Some(laser) = packets.stand_in() {
                     writeln!(
                         text,
-                        "laser = {laser}   # the horizontal one, {HORIZONTAL}, is dead"
+                        "laser = {laser}   # the horizontal one, {HORIZONTAL_LASER}, is dead"
                     )?;
                 }
             }

@@ -8,6 +8,7 @@ use anyhow::{Context, Result, anyhow};
 use dataset::tables::{Provenance, digest_file, read_provenance};
 
 use crate::config::Config;
+use crate::logs::file_name;
 use crate::manifest::Manifest;
 
 /// Prints an artifact's ancestry as a tree, from the provenance that each artifact carries.
@@ -115,17 +116,18 @@ fn meta_content(html: &str, key: &str) -> Option<String> {
 /// Rechecks every digest that a run folder's tasks recorded.
 pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
     let manifest = Manifest::load_existing(folder)?;
-    let mut logs: BTreeMap<String, PathBuf> = BTreeMap::new();
+    // Logs by the task that reads them: those of two drives may have one name.
+    let mut logs: BTreeMap<(String, String), PathBuf> = BTreeMap::new();
     for log in config.map(Config::log_files).transpose()?.unwrap_or_default() {
         for path in log.paths {
-            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-            logs.insert(name, path);
+            logs.insert((format!("ingest {}", log.name), file_name(&path)), path);
         }
     }
-    let mut digests: BTreeMap<String, Option<String>> = BTreeMap::new();
-    let mut digest_of = |name: &str| -> Option<String> {
-        let path = logs.get(name).cloned().unwrap_or_else(|| folder.join(name));
-        digests.entry(name.to_owned()).or_insert_with(|| digest_file(&path).ok()).clone()
+    let mut digests: BTreeMap<PathBuf, Option<String>> = BTreeMap::new();
+    let mut digest_of = |task: &str, name: &str| -> Option<String> {
+        let log = logs.get(&(task.to_owned(), name.to_owned())).cloned();
+        let path = log.unwrap_or_else(|| folder.join(name));
+        digests.entry(path).or_insert_with_key(|path| digest_file(path).ok()).clone()
     };
     let is_made_here: BTreeSet<&String> =
         manifest.tasks.values().flat_map(|task| task.outputs.keys()).collect();
@@ -133,7 +135,7 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
     for (task, record) in &manifest.tasks {
         for (name, digest) in &record.outputs {
             n_checked += 1;
-            match digest_of(name) {
+            match digest_of(task, name) {
                 None => faults.push(format!("{name} is missing (made by `{task}`)")),
                 Some(now) if now != *digest => {
                     faults.push(format!("{name} has changed since `{task}` made it"));
@@ -142,7 +144,7 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
             }
         }
         for (name, digest) in &record.inputs {
-            let now = digest_of(name);
+            let now = digest_of(task, name);
             if now.is_none() && !is_made_here.contains(name) {
                 unchecked.insert(name.clone());
             } else {

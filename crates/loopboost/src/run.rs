@@ -165,11 +165,15 @@ impl Run {
         Ok(self.logs()?.iter().filter(|log| !failed(log)).cloned().collect())
     }
 
+    /// Whether nothing is to be done.
+    pub(crate) fn is_dry(&self) -> bool {
+        matches!(self.mode, Mode::DryRun { .. })
+    }
+
     /// Notes whether a log could be ingested, for the stages behind.
     pub(crate) fn set_failed(&self, log: &str, reason: Option<String>) -> Result<()> {
         let mut manifest = self.manifest.borrow_mut();
-        let is_dry = matches!(self.mode, Mode::DryRun { .. });
-        if is_dry || manifest.failed.get(log) == reason.as_ref() {
+        if self.is_dry() || manifest.failed.get(log) == reason.as_ref() {
             return Ok(());
         }
         match reason {

@@ -56,6 +56,14 @@ pub enum MessageError {
         /// The contradiction.
         detail: String,
     },
+    /// A point cloud without a field that is needed.
+    #[error("point cloud has no field `{field}`; there are {}", found.join(", "))]
+    NoField {
+        /// The field.
+        field: String,
+        /// The fields there are.
+        found: Vec<String>,
+    },
     /// An angle of a scan is NaN or infinite.
     #[error("{message} has an angle that is not finite")]
     NotFinite {
@@ -97,6 +105,9 @@ impl MessageError {
             }
             Self::Malformed { .. } => "malformed".to_owned(),
             Self::CloudLayout { .. } => "a point cloud of contradictory layout".to_owned(),
+            Self::NoField { field, found } => {
+                format!("no field `{field}`; there are {}", found.join(", "))
+            }
             Self::NotFinite { .. } => "an angle that is not finite".to_owned(),
             Self::PacketLength { .. } | Self::BlockFlag { .. } | Self::Azimuth { .. } => {
                 "not the layout of an HDL-32E data packet".to_owned()

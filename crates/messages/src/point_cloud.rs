@@ -102,9 +102,12 @@ impl<'a> PointCloud<'a> {
     }
 
     /// The cloud, if its sizes and fields agree. A single row needs no step to the next: whatever
-    /// the message says there is replaced by the row's own length.
+    /// the message says there is replaced by the row's own length; in a cloud without points, whose
+    /// other sizes may be any, by 0.
     pub(crate) fn checked(mut self) -> Result<Self> {
-        if self.height <= 1 {
+        if self.is_empty() {
+            self.row_step = 0;
+        } else if self.height == 1 {
             self.row_step = self.width.saturating_mul(self.point_step);
         }
         for field in &self.fields {

@@ -1,11 +1,9 @@
 //! What a channel without a schema holds, told by what its bytes decode as.
 
 use crate::hdl32e::Packet;
-use crate::wire::Decoded;
+use crate::wire::{Decoded, MAX_CDR_PADDING};
 use crate::{Encoding, MessageType, Result, Source, read};
 
-/// Bytes that some DDS vendors leave behind a CDR message to fill up a word.
-const MAX_CDR_PADDING: usize = 8;
 /// A quaternion whose norm is farther from 1 than this was never one.
 const MAX_NORM_ERROR: f64 = 1e-3;
 

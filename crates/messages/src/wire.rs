@@ -12,6 +12,8 @@ use crate::{MessageError, Result};
 
 /// Bytes of a CDR encapsulation header.
 const ENCAPSULATION: usize = 4;
+/// Bytes that some DDS vendors leave behind a CDR message to fill up a word.
+pub(crate) const MAX_CDR_PADDING: usize = 8;
 
 /// Byte order of a CDR body, from its encapsulation header.
 pub(crate) fn cdr_is_big_endian(message: &'static str, bytes: &[u8]) -> Result<bool> {

@@ -161,9 +161,8 @@ mod tests {
 
     /// A robot that is at `x_m[k]` at second `k`, and a scan every half second.
     fn check(x_m: &[f64], unusable: &[u32], expected: &[(u32, f64)]) -> Dropped {
-        let poses = x_m.iter().zip(0..).map(|(&x_m, k)| StampedPose {
-            stamp_ns: k * 1_000_000_000,
-            pose: Pose2 { x_m, ..Pose2::default() },
+        let poses = x_m.iter().zip(0..).map(|(&x_m, k)| {
+            StampedPose::new(k * 1_000_000_000, Pose2 { x_m, ..Pose2::default() })
         });
         let (trajectory, _) = Trajectory::new(poses.collect());
         let candidates: Vec<_> = (0..2 * x_m.len() as u32 - 1)
@@ -210,7 +209,7 @@ mod tests {
 
     #[test]
     fn scans_without_a_pose_are_counted_by_reason() {
-        let pose = |s: i64| StampedPose { stamp_ns: s * 1_000_000_000, pose: Pose2::default() };
+        let pose = |s: i64| StampedPose::new(s * 1_000_000_000, Pose2::default());
         let (trajectory, _) = Trajectory::new(vec![pose(10), pose(11), pose(20)]);
         let candidate = |scan: u32, s: i64| Candidate {
             scan,

@@ -39,7 +39,11 @@ pub fn floats(values: impl Iterator<Item = f64>) -> ArrayRef {
     Arc::new(Float64Array::from_iter_values(values))
 }
 
-/// Writes `poses/<log>.parquet`.
+/// Columns of the covariance of a pose; null where it is not known.
+const COVARIANCE: [&str; 6] = ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh"];
+
+/// Writes `poses/<log>.parquet`: stamp, pose, and the upper triangle of the covariance of x, y and
+/// heading \[m^2, m rad, rad^2\].
 pub fn write_poses(
     path: &Path,
     provenance: &Provenance,
@@ -47,14 +51,18 @@ pub fn write_poses(
     trajectory: &Trajectory,
 ) -> Result<()> {
     let poses = trajectory.poses();
-    let columns: Vec<(&str, ArrayRef)> = vec![
+    let mut columns: Vec<(&str, ArrayRef)> = vec![
         ("log", strings(poses.iter().map(|_| log))),
         ("stamp_ns", Arc::new(Int64Array::from_iter_values(poses.iter().map(|p| p.stamp_ns)))),
         ("x_m", floats(poses.iter().map(|p| p.pose.x_m))),
         ("y_m", floats(poses.iter().map(|p| p.pose.y_m))),
         ("heading_rad", floats(poses.iter().map(|p| p.pose.heading_rad))),
     ];
-    write_table(path, "poses", provenance, &batch(columns, &[]))
+    for (k, name) in COVARIANCE.into_iter().enumerate() {
+        let entry = poses.iter().map(|p| p.covariance.map(|covariance| covariance[k]));
+        columns.push((name, Arc::new(entry.collect::<Float64Array>())));
+    }
+    write_table(path, "poses", provenance, &batch(columns, &COVARIANCE))
 }
 
 /// Reads `poses/<log>.parquet`.
@@ -65,10 +73,18 @@ pub fn read_poses(path: &Path) -> Result<(Trajectory, Provenance)> {
     let x = columns.numbers::<Float64Type>("x_m")?;
     let y = columns.numbers::<Float64Type>("y_m")?;
     let heading = columns.numbers::<Float64Type>("heading_rad")?;
+    let entries = COVARIANCE
+        .iter()
+        .map(|name| columns.nullable_numbers::<Float64Type>(name))
+        .collect::<Result<Vec<_>>>()?;
     let poses = (0..batch.num_rows())
         .map(|row| StampedPose {
             stamp_ns: stamps.value(row),
             pose: Pose2 { x_m: x.value(row), y_m: y.value(row), heading_rad: heading.value(row) },
+            covariance: entries
+                .iter()
+                .all(|entry| entry.is_valid(row))
+                .then(|| std::array::from_fn(|k| entries[k].value(row))),
         })
         .collect();
     Ok((Trajectory::new(poses).0, provenance))

@@ -2,9 +2,10 @@ use anyhow::{Result, anyhow};
 use dataset::Dropped;
 use dataset::tables::scans::write_scans;
 use dataset::tables::{Provenance, write_poses};
-use ingest::{IngestError, Log, Options};
+use ingest::{IngestError, Log, Options, PoseOptions};
 
-use crate::logs::LogFile;
+use crate::config::{LogOptions, usage};
+use crate::logs::{LogFile, file_name};
 use crate::run::{Done, Run, Task, progress_bar};
 
 /// Logs -> scans/LOG.parquet, poses/LOG.parquet
@@ -15,7 +16,22 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let mut dropped = Dropped::default();
     let mut failed = Vec::new();
     let logs = run.logs()?;
+    check_frames(run, logs)?;
     for log in logs {
+        if let Some(missing) = log.paths.iter().find(|path| !path.exists()) {
+            let error = anyhow!(
+                "{} does not exist (paths in `ingest.logs` are relative to the pipeline file)",
+                missing.display()
+            );
+            if run.strict {
+                return Err(error);
+            }
+            if !run.is_dry() {
+                run.set_failed(&log.name, Some(error.to_string()))?;
+                failed.push((error, log));
+                continue;
+            }
+        }
         let task = Task { stage: "ingest", log: Some(log.name.clone()), inputs: log.paths.clone() };
         match run.task(&task, |provenance| ingest_log(run, log, provenance)) {
             Ok(of_log) => {
@@ -24,9 +40,8 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
             }
             // Whatever else goes wrong, such as a full disk, goes wrong for the next log too.
             Err(error) if error.is::<IngestError>() && !run.strict => {
-                let reason = format!("{error:#}");
-                run.set_failed(&log.name, Some(reason.clone()))?;
-                failed.push((error, reason));
+                run.set_failed(&log.name, Some(format!("{error:#}")))?;
+                failed.push((error, log));
             }
             Err(error) => return Err(error),
         }
@@ -37,31 +52,57 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
             Err(failed) => anyhow!(
                 "none of the {} logs could be ingested:\n  {}",
                 logs.len(),
-                failed.into_iter().map(|(_, reason)| reason).collect::<Vec<_>>().join("\n  ")
+                failed.iter().map(|(e, _)| format!("{e:#}")).collect::<Vec<_>>().join("\n  ")
             ),
         });
     }
-    for (_, reason) in failed {
-        dropped.add(format!("log left out of the run: {reason}"), 1);
+    for (error, log) in failed {
+        dropped.add(format!("log left out of the run, `{}`: {error:#}", log.name), 1);
     }
     Ok(dropped)
+}
+
+/// Refuses logs of one site whose poses are not in the site's map frame: revisits between them would
+/// be made up.
+fn check_frames(run: &Run, logs: &[LogFile]) -> Result<()> {
+    let options = logs
+        .iter()
+        .map(|log| Ok((log, run.config.for_log(&log.name)?)))
+        .collect::<Result<Vec<_>>>()?;
+    for (log, own) in &options {
+        let is_own_frame = own.pose.as_ref().is_some_and(PoseOptions::is_own_frame);
+        let shares = |(other, of_other): &&(&LogFile, LogOptions)| {
+            other.name != log.name && own.site.is_some() && of_other.site == own.site
+        };
+        if let (true, Some((other, _))) = (is_own_frame, options.iter().find(shares)) {
+            return Err(usage(format!(
+                "poses of log `{}` are fused from wheels and start in a frame of their own, but its site `{}` is that of `{}` too; give each such log its [ingest.log.{}.pose.start], or take `site` away",
+                log.name,
+                own.site.as_deref().unwrap_or_default(),
+                other.name,
+                log.name
+            )));
+        }
+    }
+    Ok(())
 }
 
 fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done> {
     let options = run.config.for_log(&file.name)?;
     let options = Options { lidar: options.lidar, pose: options.pose };
-    let logs = file.paths.iter().map(|path| Log::open(path)).collect::<Result<Vec<_>, _>>()?;
+    let (logs, lost) = open(file)?;
     let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
     let progress = progress_bar(n_bytes as u64, format!("ingest {}", file.name), true);
     let (scans, poses) = (run.scans(&file.name), run.poses(&file.name));
 
     let ingested = write_scans(&scans, &provenance, &file.name, |writer| {
-        let ingested = ingest::ingest(
+        let mut ingested = ingest::ingest(
             &logs.iter().collect::<Vec<_>>(),
             &options,
             |scans| writer.push(scans).map_err(anyhow::Error::from),
             |position| progress.set_position(position),
         )?;
+        ingested.dropped.merge(lost);
         writer.set_dropped(ingested.dropped.clone());
         anyhow::Ok(ingested)
     })?;
@@ -71,10 +112,39 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
     let n_poses = ingested.trajectory.poses().len();
     let mut said = format!("{}: {} scans, {n_poses} poses", file.name, ingested.n_scans);
     if let n_files @ 2.. = logs.len() {
-        said.push_str(&format!("; from {n_files} files"));
+        let names: Vec<String> = logs.iter().map(|log| file_name(log.path())).collect();
+        said.push_str(&format!("; from {n_files} files of one drive: {}", names.join(", ")));
     }
     for note in &ingested.notes {
         said.push_str(&format!("; {note}"));
     }
     Ok(Done { outputs: vec![scans, poses], dropped: ingested.dropped, said: vec![said] })
+}
+
+/// Opens the files of a drive. Of one that was split, a file that cannot be read is counted, as long
+/// as there is another.
+pub(crate) fn open(file: &LogFile) -> Result<(Vec<Log>, Dropped), IngestError> {
+    let mut lost = Dropped::default();
+    for path in &file.missing {
+        let reason = format!(
+            "files of the drive that metadata.yaml lists and that are not there ({}; unpack it if it is compressed)",
+            path.display()
+        );
+        lost.add(reason, 1);
+    }
+    let mut logs = Vec::new();
+    let mut first_error = None;
+    for path in &file.paths {
+        match Log::open(path) {
+            Ok(log) => logs.push(log),
+            Err(error) => {
+                lost.add(format!("files of the drive that cannot be read ({error})"), 1);
+                first_error.get_or_insert(error);
+            }
+        }
+    }
+    match first_error {
+        Some(error) if logs.is_empty() => Err(error),
+        _ => Ok((logs, lost)),
+    }
 }

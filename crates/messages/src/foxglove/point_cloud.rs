@@ -119,6 +119,9 @@ pub fn write_point_cloud(encoding: Encoding, frame_id: &str, cloud: &PointCloud<
 
 /// The points one behind the other, little endian.
 fn packed(cloud: &PointCloud<'_>) -> Vec<u8> {
+    if cloud.is_empty() {
+        return Vec::new();
+    }
     let row = cloud.width * cloud.point_step;
     let mut data = Vec::with_capacity(row * cloud.height);
     for k in 0..cloud.height {

@@ -162,6 +162,25 @@ fn a_writer_undoes_range_limits_rows_and_big_endian() {
 }
 
 /// A protocol buffer cut between fields is a shorter message; never an altered one.
+/// Without points the other sizes of a cloud say nothing: whatever they are, it can be written.
+#[test]
+fn a_cloud_without_points_is_written_whatever_its_sizes() {
+    const MANY: usize = u32::MAX as usize;
+    let empty = PointCloud { row_step: 0, data: Vec::new().into(), ..cloud() };
+    for (width, height, row_step) in [(0, 2, 58), (0, MANY, MANY), (MANY, 0, MANY), (0, 0, 1)] {
+        let sizes = PointCloud { width, height, row_step, ..empty.clone() };
+        let cdr = ros::write_point_cloud2(Encoding::Cdr, "v", &sizes);
+        let read = read_point_cloud(source(MessageType::PointCloud2, Encoding::Cdr), &cdr).unwrap();
+        assert_eq!(read, PointCloud { width, height, ..empty.clone() });
+        assert_eq!(ros::write_point_cloud2(Encoding::Cdr, "v", &read).len(), cdr.len());
+        for cloud in [sizes, read] {
+            let bytes = write_point_cloud(Encoding::Protobuf, "v", &cloud);
+            let source = source(MessageType::FoxglovePointCloud, Encoding::Protobuf);
+            assert!(read_point_cloud(source, &bytes).unwrap().is_empty());
+        }
+    }
+}
+
 #[test]
 fn a_cut_of_a_message_is_an_error_or_a_shorter_message() {
     let scan = source(MessageType::FoxgloveLaserScan, Encoding::Protobuf);

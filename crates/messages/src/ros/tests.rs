@@ -368,6 +368,26 @@ fn packets_survive_both_encodings_and_every_frame_name_length() {
 }
 
 /// By hand: the stamp and the data, in CDR behind the encapsulation.
+/// The count stands behind the stamp, in ROS 1 the sequence number before it, and the empty name.
+#[test]
+fn a_count_that_hides_packets_is_an_error() {
+    for (encoding, at) in [(Encoding::Cdr, 4 + 8 + 4 + 4), (Encoding::Ros1, 4 + 8 + 4)] {
+        let source = source(MessageType::VelodyneScan, encoding);
+        let packets = [(1, PacketBuilder::new([7; 12], 0).finish()); 3];
+        let mut bytes = write_velodyne_scan(encoding, "", 0, &packets);
+        assert_eq!((bytes[at], read_velodyne(source, &bytes).unwrap().len()), (3, 3));
+        for count in [0, 1, 2] {
+            bytes[at] = count;
+            let error = read_velodyne(source, &bytes).unwrap_err().to_string();
+            assert!(error.ends_with(&format!(" bytes follow its {count} packets")), "{error}");
+        }
+        bytes[at] = 3;
+        // The name takes 3 KB of the packets, and what it leaves starts with no return: 0 packets.
+        bytes[12..14].copy_from_slice(&3000u16.to_le_bytes());
+        assert!(read_velodyne(source, &bytes).is_err());
+    }
+}
+
 #[test]
 fn a_lone_packet_is_a_scan_of_one() {
     let packet = PacketBuilder::new([9; 12], 7).finish();

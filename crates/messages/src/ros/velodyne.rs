@@ -1,8 +1,8 @@
 //! `velodyne_msgs/VelodyneScan` and `velodyne_msgs/VelodynePacket`, their packets borrowed.
 
 use crate::hdl32e::PACKET_BYTES;
-use crate::wire::{Cursor, Decoded, Writer, time_ns, u32_of};
-use crate::{Encoding, MessageType, Result};
+use crate::wire::{Cursor, Decoded, MAX_CDR_PADDING, Writer, time_ns, u32_of};
+use crate::{Encoding, MessageError, MessageType, Result};
 
 /// Bytes of a `VelodynePacket`: its stamp and its data.
 const STAMPED_PACKET_BYTES: usize = 8 + PACKET_BYTES;
@@ -19,7 +19,8 @@ pub struct VelodyneScan<'a> {
 }
 
 impl<'a> VelodyneScan<'a> {
-    /// Reads the header of a `VelodyneScan` and checks that all packets are there.
+    /// Reads the header of a `VelodyneScan` and checks that all packets are there, and nothing else:
+    /// a count or a name's length that was altered would hide packets.
     pub(crate) fn read(encoding: Encoding, bytes: &'a [u8]) -> Result<Decoded<Self>> {
         let mut cursor = Cursor::new(MessageType::VelodyneScan, encoding, bytes)?;
         let stamp_ns = cursor.header_stamp_ns()?;
@@ -35,7 +36,14 @@ impl<'a> VelodyneScan<'a> {
         };
         let packets = cursor.take(length)?;
         let big_endian = cursor.is_big_endian();
-        Ok(cursor.decoded(Self { stamp_ns, packets, n_packets, stride, big_endian }))
+        let decoded = cursor.decoded(Self { stamp_ns, packets, n_packets, stride, big_endian });
+        if MAX_CDR_PADDING < decoded.n_left {
+            return Err(MessageError::Malformed {
+                message: MessageType::VelodyneScan.name(),
+                detail: format!("{} bytes follow its {n_packets} packets", decoded.n_left),
+            });
+        }
+        Ok(decoded)
     }
 
     /// Reads a lone `VelodynePacket`.

@@ -1,0 +1,11 @@
+//! Foxglove's messages, as protocol buffers and as JSON.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use loopboost_fuzz::readers;
+use messages::Encoding;
+
+fuzz_target!(|bytes: &[u8]| {
+    readers::read_as_everything(Encoding::Protobuf, bytes);
+    readers::read_as_everything(Encoding::Json, bytes);
+});

@@ -1,0 +1,145 @@
+//! The same measurements in every encoding, written by the libraries of others
+//! (`tests/peers/encodings.py`), give the same scans and poses; skipped where those are absent.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use crate::support::{Finished, Workplace, loopboost, python_with, root, shared_data};
+
+const MODULES: &str =
+    "mcap, mcap_protobuf, foxglove_schemas_protobuf, rosbags, numpy, pyarrow, velodyne_decoder";
+
+/// A group of logs, ingested with the same options.
+struct Group {
+    name: &'static str,
+    options: &'static [&'static str],
+    /// The ring that the scans are of; of clouds.
+    ring: &'static str,
+    code: i32,
+}
+
+const CLOUDS: &str = "ingest.lidar.topic=/velodyne_points";
+const SCANS: &str = "ingest.lidar.topic=/scan";
+const POSES: &str = "ingest.pose.topic=/pose";
+
+#[rustfmt::skip]
+const GROUPS: [Group; 7] = [
+    Group { name: "packets", options: &[], ring: "23", code: 0 },
+    Group { name: "lossy", options: &[], ring: "23", code: 3 },
+    Group { name: "clouds", options: &[CLOUDS], ring: "23", code: 0 },
+    Group { name: "clouds", options: &[CLOUDS, "ingest.lidar.ring=23"], ring: "23", code: 0 },
+    Group { name: "clouds", options: &[CLOUDS, "ingest.lidar.elevation_deg=-9.33"], ring: "16", code: 0 },
+    Group { name: "planar", options: &[SCANS, POSES], ring: "", code: 0 },
+    Group { name: "bare", options: &[SCANS, POSES], ring: "", code: 0 },
+];
+
+#[test]
+fn every_encoding_gives_the_same() {
+    let Some(data) = shared_data() else { return };
+    let Some(python) = python_with(MODULES) else { return };
+    let workplace = Workplace::new("");
+    let logs = workplace.path("logs");
+    let script = |args: &[&Path]| {
+        let output = Command::new(&python)
+            .arg("-B") // leaves no bytecode beside the scripts
+            .arg(root().join("tests/peers/encodings.py"))
+            .args(args)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{said}\n{}", String::from_utf8_lossy(&output.stderr));
+        print!("{said}");
+    };
+    script(&[Path::new("write"), &data, &logs]);
+    let reference = logs.join("packets/reference.mcap");
+    ingest(&workplace, "reference", &[reference.display().to_string()], &[]).expect(0);
+    let table = workplace.path("reference/scans/reference.parquet");
+    fs::copy(table, logs.join("reference.parquet")).unwrap();
+
+    for (k, group) in GROUPS.iter().enumerate() {
+        let out = k.to_string();
+        let of_group = files(&logs.join(group.name));
+        let finished = ingest(&workplace, &out, &of_group, group.options).expect(group.code);
+        check_what_is_said(group.name, &finished);
+        check_inspect(group.name, &of_group);
+        let [compare, name, ring] = ["compare", group.name, group.ring].map(Path::new);
+        let run = workplace.path(&out);
+        match group.ring {
+            "" => script(&[compare, &logs, name, &run]),
+            _ => script(&[compare, &logs, name, &run, ring]),
+        }
+    }
+}
+
+fn ingest(workplace: &Workplace, out: &str, logs: &[String], options: &[&str]) -> Finished {
+    let logs = format!("ingest.logs={logs:?}");
+    let sets = [logs.as_str()].into_iter().chain(options.iter().copied());
+    let args: Vec<&str> = sets.flat_map(|set| ["--set", set]).collect();
+    workplace.command("ingest", out, &args)
+}
+
+fn files(folder: &Path) -> Vec<String> {
+    let mut files: Vec<_> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path().display().to_string())
+        .collect();
+    files.sort();
+    files
+}
+
+/// `inspect` finds what `ingest` can read: a lidar in every log, poses where the log has some.
+fn check_inspect(group: &str, logs: &[String]) {
+    for log in logs {
+        let told = loopboost(&["inspect", log]).stdout;
+        assert!(told.contains("a pipeline that would fit"), "{told}");
+        let has_poses = ["planar", "bare"].contains(&group);
+        assert_eq!(has_poses, told.contains("pose.topic = \"/pose\""), "{told}");
+    }
+}
+
+/// A line of stdout is a log's: what had to be guessed or put right is told there; what was lost
+/// is summed up on stderr.
+fn check_what_is_said(group: &str, finished: &Finished) {
+    for line in finished.stdout.lines() {
+        let is_bare = line.contains("-schema-none:");
+        assert_eq!(is_bare, line.contains("has no schema: its messages were read as"), "{line}");
+        let is_late = line.contains("shuffled-") || line.contains("all-");
+        assert_eq!(is_late, line.contains("packets came late and were put in order"), "{line}");
+    }
+    let n_bare = finished.stdout.matches("-schema-none:").count();
+    assert_eq!(n_bare > 0, ["packets", "clouds", "bare"].contains(&group), "{group}");
+    if group == "lossy" {
+        // Of 18 logs six have 72 packets twice, six have 10 position packets and six have both,
+        // where every seventh packet that comes twice is once a position packet: 72 and 11.
+        let expected = [
+            "864 packets that are there twice",
+            "126 packets without the layout of an HDL-32E data packet",
+        ];
+        for text in expected {
+            assert!(finished.stderr.contains(text), "{}", finished.stderr);
+        }
+    }
+}
+
+/// `docs/sensors.md` claims nothing without a test: `file::function`, of `tests/` or, with a crate
+/// before it, of the crate's.
+#[test]
+fn the_tests_that_the_sensors_page_names_are_there() {
+    let page = fs::read_to_string(root().join("docs/sensors.md")).unwrap();
+    let named = page.split('`').skip(1).step_by(2).filter_map(|code| code.split_once("::"));
+    let mut n_named = 0;
+    for (file, function) in named.filter(|(_, function)| !function.is_empty()) {
+        let path = match file.split_once('/') {
+            Some((krate, file)) => format!("crates/{krate}/tests/{file}.rs"),
+            None => format!("tests/{file}.rs"),
+        };
+        let text = fs::read_to_string(root().join(&path)).unwrap_or_else(|_| panic!("no {path}"));
+        assert!(text.contains(&format!("#[test]\nfn {function}() {{")), "no {function} in {path}");
+        n_named += 1;
+    }
+    assert!(0 < n_named);
+    for row in page.lines().filter(|line| line.starts_with("| ") && !line.ends_with("| test |")) {
+        assert!(row.contains("::"), "without a test: {row}");
+    }
+}
