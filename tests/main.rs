@@ -7,5 +7,6 @@ mod import;
 mod real_logs;
 mod resume;
 mod run;
+mod simulation;
 mod structure;
 mod support;

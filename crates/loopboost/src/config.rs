@@ -151,6 +151,11 @@ impl Config {
         Ok(files)
     }
 
+    /// A path that the pipeline file names, which is relative to it.
+    pub(crate) fn beside_pipeline(&self, path: &str) -> PathBuf {
+        self.folder.join(path)
+    }
+
     /// The options of one log.
     pub(crate) fn for_log(&self, log: &str) -> Result<LogOptions> {
         let IngestSection { site, lidar, pose, .. } = self.ingest.clone();

@@ -116,8 +116,12 @@ impl Run {
         self.path(&format!("poses/{log}.parquet"))
     }
 
-    pub(crate) fn simulated_log(&self, name: &str) -> PathBuf {
-        self.path(&format!("logs/{name}.mcap"))
+    /// The files of a simulated log, in order of time.
+    pub(crate) fn simulated_log(&self, name: &str) -> Vec<PathBuf> {
+        match self.config.simulate.as_ref().map_or(1, |options| options.files) {
+            1 => vec![self.path(&format!("logs/{name}.mcap"))],
+            n => (0..n).map(|k| self.path(&format!("logs/{name}/{name}_{k}.mcap"))).collect(),
+        }
     }
 
     /// The run's logs: the simulated ones, then those of `ingest.logs`.
@@ -126,8 +130,9 @@ impl Run {
             return Ok(logs);
         }
         let simulated = self.config.simulate.iter().flat_map(|s| &s.logs);
-        let mut logs: Vec<LogFile> =
-            simulated.map(|name| LogFile::of(self.simulated_log(name))).collect();
+        let mut logs: Vec<LogFile> = simulated
+            .map(|name| LogFile { name: name.as_str().into(), paths: self.simulated_log(name) })
+            .collect();
         logs.extend(self.config.log_files()?);
         if logs.is_empty() {
             return Err(usage(
@@ -269,7 +274,7 @@ impl Run {
         };
         if runs {
             let outputs = match (task.stage, &task.log) {
-                ("simulate", Some(log)) => vec![self.simulated_log(log)],
+                ("simulate", Some(log)) => self.simulated_log(log),
                 ("ingest", Some(log)) => vec![self.scans(log), self.poses(log)],
                 ("subsample", _) => vec![self.path("keyframes.parquet")],
                 ("label", _) => vec![self.path("pairs.parquet")],

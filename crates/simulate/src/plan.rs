@@ -1,22 +1,20 @@
-//! The floor plan of the building, the same on every day.
+//! The floor plan of a building, the same on every day.
 //!
 //! ```text
-//!   row 2  o-----------o-----------o     Three corridors run along x and three along y; they meet
-//!          | rooms     |     rooms |     in nodes `o` (column, row). The outer ones close a ring,
-//!   row 1  o----------[A]----------o     the inner ones cross in an atrium `A`. Rooms line both
-//!          | rooms     |     rooms |     sides of each corridor. About 120 m x 80 m.
-//!   row 0  o-----------o-----------o
-//!       column 0       1           2
+//!   row 2  o-----------o-----------o     Corridors run along x and along y; they meet in nodes `o`
+//!          | rooms     |     rooms |     (column, row), one of them in an atrium `A`. Rooms line
+//!   row 1  o----------[A]----------o     both sides of each corridor, some of them behind glass.
+//!          | rooms     |     rooms |     This one, of 120 m x 80 m, stands alone; those of a
+//!   row 0  o-----------o-----------o     campus are smaller, with an entrance below row 0 and
+//!       column 0       1           2     windows in their facades.
 //! ```
 //!
 //! A corridor is a chain of sections; each has its own width, its own share of rooms, alcoves,
 //! pillars and blank wall, and its own size of rooms, so that no two look alike.
 
+use crate::plane::{Point, Rect, Segment, Vector};
 use crate::random::Random;
-use crate::walls::{Point, Rect, Vector};
 
-/// Size of the building \[m\].
-const BUILDING_M: (f64, f64) = (120.0, 80.0);
 /// Thickness of the walls between rooms and corridors \[m\].
 const WALL_M: f64 = 0.2;
 /// Width of a corridor section \[m\].
@@ -27,24 +25,90 @@ const WIDE_M: f64 = 2.4;
 const NODE_CLEAR_M: f64 = 2.5;
 /// Depth of the niche that a closed door leaves in the corridor's wall \[m\].
 const NICHE_M: f64 = 0.05;
+/// Windows are let into the walls of rooms no farther than this from a facade \[m\].
+const WINDOW_DEPTH_M: f64 = 2.5;
+/// Share of rooms behind glass.
+const GLASS_SHARE: f64 = 0.2;
 /// Pillars of the atrium keep this far from the middle of both corridors \[m\].
 const PILLAR_CLEAR_M: f64 = 1.6;
+
+/// How large a building is, and how many corridors it has.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Shape {
+    /// Along x and y \[m\].
+    size: (f64, f64),
+    columns: usize,
+    rows: usize,
+    /// Limits of the distance from a facade to the corridor behind it \[m\].
+    margin: (f64, f64),
+    /// The column below whose first node the entrance is.
+    entrance: Option<usize>,
+    atrium: (usize, usize),
+    has_windows: bool,
+}
+
+impl Shape {
+    /// The building that stands alone.
+    pub(crate) fn alone() -> Self {
+        Self {
+            size: (120.0, 80.0),
+            columns: 3,
+            rows: 3,
+            margin: (9.0, 11.0),
+            entrance: None,
+            atrium: (1, 1),
+            has_windows: false,
+        }
+    }
+
+    /// One of a campus.
+    pub(crate) fn on_campus(random: &mut Random) -> Self {
+        let size = (random.uniform(46.0, 66.0), random.uniform(34.0, 44.0));
+        let columns = if 55.0 < size.0 { 3 } else { 2 };
+        Self {
+            size: (size.0.round(), size.1.round()),
+            columns,
+            rows: 2,
+            margin: (6.5, 8.0),
+            entrance: Some(random.index(columns)),
+            atrium: (random.index(columns), random.index(2)),
+            has_windows: true,
+        }
+    }
+}
 
 /// The part of a building that stays.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
+    /// The building's outline.
+    pub(crate) building: Rect,
     /// Where corridors meet, `nodes[column][row]`.
-    pub(crate) nodes: [[Point; 3]; 3],
+    pub(crate) nodes: Vec<Vec<Point>>,
+    /// The column of the entrance.
+    pub(crate) entrance: Option<usize>,
     pub(crate) sections: Vec<Section>,
     pub(crate) atrium: Rect,
+    /// Ceiling of corridors and rooms, of the atrium, and the roof \[m\].
+    pub(crate) ceiling_m: f64,
+    pub(crate) atrium_ceiling_m: f64,
+    pub(crate) roof_m: f64,
+    /// Share of light that its walls throw back.
+    pub(crate) reflectivity: f64,
     /// Free space besides doors: corridors, nodes, the atrium, alcoves, rooms.
     pub(crate) open: Vec<Rect>,
     /// What stands in it: pillars at corridor walls.
     pub(crate) solid: Vec<Rect>,
     pub(crate) doors: Vec<Door>,
+    /// Panes from floor to ceiling, between rooms and corridors.
+    pub(crate) glass: Vec<Segment>,
+    /// Parts of the facade that are windows.
+    pub(crate) windows: Vec<Segment>,
+    /// The part of the facade that is open.
+    pub(crate) entrances: Vec<Segment>,
     pub(crate) furniture: Vec<Furniture>,
     /// Round pillars in the atrium.
     pub(crate) pillars: Vec<Pillar>,
+    has_windows: bool,
 }
 
 /// A stretch of corridor of one width.
@@ -65,6 +129,8 @@ pub(crate) struct Door {
     pub(crate) passage: Rect,
     /// Free space when closed: a niche as deep as the frame.
     pub(crate) niche: Rect,
+    /// Above it, wall again.
+    pub(crate) lintel: Segment,
     /// Share of days on which it is open.
     pub(crate) open_share: f64,
 }
@@ -77,8 +143,11 @@ pub(crate) struct Furniture {
     pub(crate) centre: Point,
     /// \[m\]
     pub(crate) size: (f64, f64),
+    /// \[m\]
+    pub(crate) height: f64,
     /// \[rad\]
     pub(crate) angle: f64,
+    pub(crate) reflectivity: f64,
 }
 
 /// A round pillar.
@@ -110,6 +179,11 @@ impl Line {
 }
 
 impl Section {
+    /// \[m\]
+    pub(crate) fn length_m(&self) -> f64 {
+        self.to - self.from
+    }
+
     /// The section's floor.
     fn floor(&self) -> Rect {
         self.line.rect((self.from, self.to), (-self.width / 2.0, self.width / 2.0))
@@ -127,26 +201,50 @@ impl Section {
 }
 
 impl Plan {
-    pub(crate) fn new(random: &mut Random) -> Self {
-        let nodes = draw_nodes(random);
-        let sections = draw_sections(&nodes, random);
+    pub(crate) fn new(shape: &Shape, random: &mut Random) -> Self {
+        let nodes = draw_nodes(shape, random);
+        let mut sections = draw_sections(&nodes, random);
+        let mut entrances = Vec::new();
+        if let Some(column) = shape.entrance {
+            let (x, y) = (nodes[column][0].x, nodes[column][0].y);
+            let line = Line { is_along_x: false, across: x };
+            let width = random.uniform(2.4, 3.0);
+            sections.push(Section { line, from: 0.0, to: y + 0.001, width });
+            entrances.push(Segment {
+                start: Point::new(x - width / 2.0, 0.0),
+                end: Point::new(x + width / 2.0, 0.0),
+            });
+        }
+        let hall = nodes[shape.atrium.0][shape.atrium.1];
+        let reach = f64::min(shape.margin.0 - 0.5, 7.5);
         let atrium = Rect::centred(
-            nodes[1][1] + Vector::new(random.uniform(-2.0, 2.0), random.uniform(-2.0, 2.0)),
-            random.uniform(12.0, 18.0),
-            random.uniform(9.0, 14.0),
+            hall + Vector::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0)),
+            random.uniform(1.5 * reach, 2.0 * reach - 2.0),
+            random.uniform(1.2 * reach, 2.0 * reach - 2.0),
         );
         let mut open: Vec<Rect> = sections.iter().map(Section::floor).collect();
         open.extend(node_floors(&nodes, &sections));
         open.push(atrium);
+        let atrium_ceiling_m = random.uniform(4.5, 7.0);
         let mut plan = Self {
-            nodes,
+            building: Rect::new(Point::origin(), Point::new(shape.size.0, shape.size.1)),
             sections,
+            entrance: shape.entrance,
             atrium,
+            ceiling_m: random.uniform(2.5, 3.0),
+            atrium_ceiling_m,
+            roof_m: atrium_ceiling_m + random.uniform(1.0, 6.0),
+            reflectivity: random.uniform(0.35, 0.8),
             open,
             solid: Vec::new(),
             doors: Vec::new(),
+            glass: Vec::new(),
+            windows: Vec::new(),
+            entrances,
             furniture: Vec::new(),
-            pillars: draw_pillars(nodes[1][1], &atrium, random),
+            pillars: draw_pillars(hall, &atrium, random),
+            has_windows: shape.has_windows,
+            nodes,
         };
         for section in plan.sections.clone() {
             let look = Look::draw(&section, random);
@@ -201,12 +299,32 @@ impl Plan {
             return;
         };
         self.open.push(room);
+        if self.has_windows {
+            self.add_windows(&room);
+        }
 
         let is_double = 5.0 <= span.1 - span.0 && random.chance(0.3);
         let width = if is_double { random.uniform(1.6, 2.0) } else { random.uniform(0.9, 1.1) };
         let from = random.uniform(span.0 + 0.2, span.1 - 0.2 - width);
+        let at = |along, depth| section.line.point(along, wall + side * depth);
         let door = |depth| section.line.rect((from, from + width), (wall, wall + side * depth));
-        self.doors.push(Door { passage: door(WALL_M), niche: door(NICHE_M), open_share });
+        if random.chance(GLASS_SHARE) {
+            // The whole front is a pane, with a gap where the door stands open.
+            let front = (span.0 + 0.1, span.1 - 0.1);
+            self.open.push(section.line.rect(front, (wall, wall + side * WALL_M)));
+            for (a, b) in [(front.0, from), (from + width, front.1)] {
+                let depth = WALL_M / 2.0;
+                self.glass.push(Segment { start: at(a, depth), end: at(b, depth) });
+            }
+        } else {
+            let lintel = Segment { start: at(from, 0.0), end: at(from + width, 0.0) };
+            self.doors.push(Door {
+                passage: door(WALL_M),
+                niche: door(NICHE_M),
+                lintel,
+                open_share,
+            });
+        }
 
         let n_furniture = random.index(((room.width() * room.height() / 6.0) as usize).clamp(1, 6));
         for _ in 0..n_furniture {
@@ -217,8 +335,36 @@ impl Plan {
                     random.uniform(room.y0, room.y1),
                 ),
                 size: (random.uniform(0.4, 1.8), random.uniform(0.3, 0.8)),
+                // A table, a desk with a screen, a shelf, a cupboard.
+                height: [0.74, 1.2, 1.6, 2.0][random.index(4)],
+                reflectivity: random.uniform(0.02, 0.7),
                 angle: [0.0, std::f64::consts::FRAC_PI_2][random.index(2)] + 0.1 * random.normal(),
             });
+        }
+    }
+
+    /// Lets windows into the facades that a room nearly reaches.
+    fn add_windows(&mut self, room: &Rect) {
+        let building = self.building;
+        let (x0, x1) = (room.x0 + 0.4, room.x1 - 0.4);
+        let (y0, y1) = (room.y0 + 0.4, room.y1 - 0.4);
+        let p = Point::new;
+        // From the room's wall to the facade, and the part of the facade.
+        let candidates = [
+            (p(x0, building.y0), p(x1, room.y0), p(x0, building.y0), p(x1, building.y0)),
+            (p(x0, room.y1), p(x1, building.y1), p(x0, building.y1), p(x1, building.y1)),
+            (p(building.x0, y0), p(room.x0, y1), p(building.x0, y0), p(building.x0, y1)),
+            (p(room.x1, y0), p(building.x1, y1), p(building.x1, y0), p(building.x1, y1)),
+        ];
+        for (low, high, start, end) in candidates {
+            let reveal = Rect::new(low, high);
+            let depth = (high - low).norm_squared() - (end - start).norm_squared();
+            let is_free = self.open.iter().all(|open| open == room || !reveal.overlaps(open));
+            if 0.5 <= (end - start).norm() && depth < WINDOW_DEPTH_M * WINDOW_DEPTH_M && is_free {
+                self.open.push(reveal);
+                let edge = Rect::new(start, end);
+                self.windows.push(Segment { start: p(edge.x0, edge.y0), end: p(edge.x1, edge.y1) });
+            }
         }
     }
 
@@ -247,8 +393,7 @@ impl Plan {
     fn is_free(&self, space: &Rect) -> bool {
         // A little less than a wall, for rounding.
         let walled = space.grown(0.75 * WALL_M);
-        let building = Rect::new(Point::origin(), Point::new(BUILDING_M.0, BUILDING_M.1));
-        walled.is_inside(&building) && self.open.iter().all(|other| !walled.overlaps(other))
+        walled.is_inside(&self.building) && self.open.iter().all(|other| !walled.overlaps(other))
     }
 }
 
@@ -269,29 +414,33 @@ impl Look {
     }
 }
 
-/// The corridors' crossings; the blocks between differ in size, and the smallest is still more
-/// than 50 m from corner to corner.
-fn draw_nodes(random: &mut Random) -> [[Point; 3]; 3] {
-    let mut lines = |size: f64, middle: (f64, f64)| {
-        let first = random.uniform(9.0, 11.0);
-        let last = size - random.uniform(9.0, 11.0);
-        [first, first + random.uniform(middle.0, middle.1), last]
+/// The corridors' crossings. The blocks between differ in size; the smallest of the building that
+/// stands alone is still more than 50 m from corner to corner.
+fn draw_nodes(shape: &Shape, random: &mut Random) -> Vec<Vec<Point>> {
+    let mut lines = |size: f64, n: usize| -> Vec<f64> {
+        let first = random.uniform(shape.margin.0, shape.margin.1);
+        let last = size - random.uniform(shape.margin.0, shape.margin.1);
+        let mut lines = vec![first, last];
+        if n == 3 {
+            lines.insert(1, first + random.uniform(0.46, 0.54) * (last - first));
+        }
+        lines
     };
-    let xs = lines(BUILDING_M.0, (46.0, 56.0));
-    let ys = lines(BUILDING_M.1, (26.0, 34.0));
-    xs.map(|x| ys.map(|y| Point::new(x, y)))
+    let xs = lines(shape.size.0, shape.columns);
+    let ys = lines(shape.size.1, shape.rows);
+    xs.iter().map(|&x| ys.iter().map(|&y| Point::new(x, y)).collect()).collect()
 }
 
-/// From node to node along every corridor, in the direction of its axis: 12 pairs.
-pub(crate) fn corridors(nodes: &[[Point; 3]; 3]) -> Vec<(Point, Point)> {
+/// From node to node along every corridor, in the direction of its axis.
+pub(crate) fn corridors(nodes: &[Vec<Point>]) -> Vec<(Point, Point)> {
     let along_y = nodes.iter().flat_map(|column| column.windows(2)).map(|ab| (ab[0], ab[1]));
-    let columns = nodes.windows(2).map(|ab| (ab[0], ab[1]));
-    let along_x = columns.flat_map(|(a, b)| a.into_iter().zip(b));
+    let columns = nodes.windows(2).map(|ab| (&ab[0], &ab[1]));
+    let along_x = columns.flat_map(|(a, b)| a.iter().copied().zip(b.iter().copied()));
     along_x.chain(along_y).collect()
 }
 
 /// Every corridor between two nodes as sections of about 14 m.
-fn draw_sections(nodes: &[[Point; 3]; 3], random: &mut Random) -> Vec<Section> {
+fn draw_sections(nodes: &[Vec<Point>], random: &mut Random) -> Vec<Section> {
     let mut sections = Vec::new();
     for (a, b) in corridors(nodes) {
         let is_along_x = b.y - a.y < b.x - a.x;
@@ -300,7 +449,7 @@ fn draw_sections(nodes: &[[Point; 3]; 3], random: &mut Random) -> Vec<Section> {
         } else {
             (Line { is_along_x, across: a.x }, a.y, b.y)
         };
-        let n = ((to - from) / 14.0).round() as usize;
+        let n = ((to - from) / 14.0).round().max(1.0) as usize;
         let mut start = from;
         for k in 1..=n {
             let jitter = if k < n { random.uniform(-0.25, 0.25) } else { 0.0 };
@@ -315,7 +464,7 @@ fn draw_sections(nodes: &[[Point; 3]; 3], random: &mut Random) -> Vec<Section> {
 }
 
 /// A square at each node, as wide as the widest section that ends there.
-fn node_floors(nodes: &[[Point; 3]; 3], sections: &[Section]) -> Vec<Rect> {
+fn node_floors(nodes: &[Vec<Point>], sections: &[Section]) -> Vec<Rect> {
     let floor = |node: &Point| {
         let reach = Rect::centred(*node, 1.0, 1.0);
         let widths = sections.iter().filter(|s| s.floor().overlaps(&reach)).map(|s| s.width);

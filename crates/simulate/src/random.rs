@@ -13,7 +13,7 @@ use chacha20::rand_core::{Rng, SeedableRng};
 #[derive(Debug, Clone, Copy)]
 #[repr(u64)]
 pub(crate) enum Purpose {
-    /// The floor plan; the same for all logs.
+    /// The place; the same for all logs.
     Plan = 1,
     /// Doors and clutter of a log's day.
     Day = 2,
@@ -23,6 +23,10 @@ pub(crate) enum Purpose {
     Drive = 4,
     /// Range noise and dropouts; indexed by message.
     Noise = 5,
+    /// The wheels' encoders.
+    Wheels = 6,
+    /// The inertial measurement unit.
+    Imu = 7,
 }
 
 /// A stream of random draws.
@@ -61,6 +65,16 @@ impl Random {
     /// Uniform in 0..n (n > 0).
     pub(crate) fn index(&mut self, n: usize) -> usize {
         ((self.unit() * n as f64) as usize).min(n - 1)
+    }
+
+    /// Nearly normal with mean 0 and deviation 1, in a tenth of the time, and never beyond 3.46.
+    ///
+    /// The sum of four uniform draws (Irwin 1927, Hall 1927) of 16 bits, whose variance is 4/12.
+    #[inline]
+    pub(crate) fn quick_normal(&mut self) -> f64 {
+        let bits = self.stream.next_u64();
+        let sum: u64 = (0..4).map(|k| bits >> (16 * k) & 0xFFFF).sum();
+        (sum as f64 * (1.0 / 65536.0) - (2.0 - 2.0 / 65536.0)) * 1.732_050_807_568_877_2
     }
 
     /// Normal with mean 0 and deviation 1.
@@ -102,14 +116,22 @@ mod tests {
     /// deviation is 0.6827 with a deviation of 0.0015. Four deviations are allowed.
     #[test]
     fn normal_draws_are_normal() {
-        let mut random = Random::new(7, Purpose::Noise, 0, 0);
-        let draws: Vec<f64> = (0..100_000).map(|_| random.normal()).collect();
+        let draw_all = |draw: fn(&mut Random) -> f64| -> Vec<f64> {
+            let mut random = Random::new(7, Purpose::Noise, 0, 0);
+            (0..100_000).map(|_| draw(&mut random)).collect()
+        };
+        check_normal(&draw_all(Random::normal), 0.6827);
+        // Of the sum of four, by its distribution function: 0.6692.
+        check_normal(&draw_all(Random::quick_normal), 0.6692);
+    }
+
+    fn check_normal(draws: &[f64], share_within: f64) {
         let n = draws.len() as f64;
         let mean = draws.iter().sum::<f64>() / n;
         let variance = draws.iter().map(|d| (d - mean) * (d - mean)).sum::<f64>() / (n - 1.0);
         let within = draws.iter().filter(|d| d.abs() < 1.0).count() as f64 / n;
         assert!(mean.abs() < 0.0128, "{mean}");
         assert!((variance - 1.0).abs() < 0.018, "{variance}");
-        assert!((within - 0.6827).abs() < 0.006, "{within}");
+        assert!((within - share_within).abs() < 0.006, "{within}");
     }
 }

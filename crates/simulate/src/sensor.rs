@@ -1,49 +1,65 @@
 //! The HDL-32E: turns, fires, and packs what it measures.
 //!
-//! The world is 2.5-dimensional: walls, furniture and people reach from floor to ceiling, so a
-//! beam ends at the nearest of wall, person, floor and ceiling above or below it. Every laser
-//! fires at its own time and azimuth, from where the robot is then.
+//! Every laser fires at its own time and azimuth, from where the robot is then and as it leans
+//! then. What lies around the sensor is looked up once a block, in the [column] of its bearing; a
+//! beam then meets what is in the columns before and after its own bearing, exactly.
 //!
-//! Left out: mixed pixels at edges, reflectivity that depends on the angle, glass, jitter of the
-//! spin, lost packets.
+//! [column]: crate::world::World::column
 
+use std::f64::consts::TAU;
+
+use dataset::wrap_angle;
 use messages::hdl32e::{
     AZIMUTH_COUNTS, BLOCK_PERIOD_NS, BLOCKS, ELEVATION_DEG, HORIZONTAL_LASER, HOUR_US, LASERS,
-    METRES_PER_COUNT, PACKET_BYTES, PACKET_PERIOD_NS, PERIODS_PER_BLOCK, PacketBuilder,
+    METRES_PER_COUNT, PACKET_BYTES, PERIODS_PER_BLOCK, PacketBuilder, ReturnMode,
 };
+use nalgebra::Vector3;
 
-use crate::clutter::PERSON_RADIUS_M;
-use crate::drive::Drive;
+use crate::beam::{Echo, MAX_RANGE_M, Ray, Scene};
+use crate::drive::{Drive, MAX_PITCH_RAD, Motion, SENSOR_HEIGHT_M, forward};
+use crate::people::PERSON_RADIUS_M;
+use crate::plane::{Point, Vector, cross};
 use crate::random::Random;
-use crate::walls::{Point, Vector, Walls, cross};
+use crate::world::Entry;
 use crate::{Lasers, Options};
 
-/// Nothing beyond this returns; data sheets of the HDL-32E promise 70 m, later ones 100 m \[m\].
-pub(crate) const MAX_RANGE_M: f64 = 70.0;
-/// Height of the sensor above the floor \[m\].
-const SENSOR_HEIGHT_M: f64 = 0.8;
-/// Height of all ceilings above the floor \[m\].
-const CEILING_HEIGHT_M: f64 = 2.7;
 /// People nearer to the sensor than this step aside: no ray meets them \[m\].
 const STEP_ASIDE_M: f64 = 0.4;
 /// Packets per second that `velodyne_driver` assumes of an HDL-32E (its `driver.cc`).
 const DRIVER_PACKET_RATE_HZ: f64 = 1808.0;
-
-/// Intensities of what is no wall; walls have 20 to 99, by segment.
-const FLOOR_INTENSITY: u8 = 12;
-const CEILING_INTENSITY: u8 = 110;
-const PERSON_INTENSITY: u8 = 35;
+/// Standard deviation of the azimuth that a block reports, before it is rounded \[0.01 deg\]: as on
+/// a real sensor, where steps of 15.0 counts come as 14, 15 and 16 in the shares 18, 65 and 17 %, so
+/// that their variance is 0.35 = 2 (0.3^2 + 1/12).
+const AZIMUTH_NOISE_COUNTS: f64 = 0.3;
+/// Columns before the first block and after the last: by so many blocks at most a leaning base
+/// turns the bearing of a beam.
+const PADDING: usize = 48;
+/// The weakest return that is seen, as reflectivity x cosine / range^2: 10 % at 70 m \[1/m^2\].
+const WEAKEST: f64 = 0.1 / (70.0 * 70.0);
+/// Below this share of the weakest none is seen, as far above it all are.
+const FADES_BY: f64 = 0.3;
 
 /// A packet and its stamp, the end of its last block \[ns since the epoch\].
 pub(crate) type StampedPacket = (i64, [u8; PACKET_BYTES]);
 
-/// Packets in a message: as many as `velodyne_driver` counts for one turn, rounded up. Being more
-/// than a turn, they move the message's border around the circle.
-pub(crate) fn packets_per_message(spin_hz: f64) -> u64 {
-    (DRIVER_PACKET_RATE_HZ / spin_hz).ceil() as u64
+/// Firings of all lasers in a packet: in dual-return mode each takes two blocks.
+fn firings_per_packet(options: &Options) -> usize {
+    if options.dual_return { BLOCKS / 2 } else { BLOCKS }
 }
 
-/// Counts of azimuth from block to block \[0.01 deg\], no whole number.
+/// Time that a packet's firings take \[ns\].
+pub(crate) fn packet_period_ns(options: &Options) -> i64 {
+    firings_per_packet(options) as i64 * BLOCK_PERIOD_NS
+}
+
+/// Packets in a message: as many as `velodyne_driver` counts for one turn, rounded up. Being more
+/// than a turn, they move the message's border around the circle.
+pub(crate) fn packets_per_message(options: &Options) -> u64 {
+    let rate_hz = DRIVER_PACKET_RATE_HZ * (BLOCKS / firings_per_packet(options)) as f64;
+    (rate_hz / options.spin_hz).ceil() as u64
+}
+
+/// Counts of azimuth from firing to firing \[0.01 deg\], no whole number.
 pub(crate) fn azimuth_step_counts(spin_hz: f64) -> f64 {
     spin_hz * f64::from(AZIMUTH_COUNTS) * BLOCK_PERIOD_NS as f64 * 1e-9
 }
@@ -51,66 +67,79 @@ pub(crate) fn azimuth_step_counts(spin_hz: f64) -> f64 {
 /// An HDL-32E as the options mount it.
 #[derive(Debug)]
 pub(crate) struct Sensor {
-    spin_hz: f64,
+    options: Options,
     /// A return at azimuth a lies at y = `y_sign` r sin a: -1 for a clockwise azimuth seen from
     /// above, 1 when the sensor hangs upside down (rolled by 180 deg about x).
     y_sign: f64,
-    beams: Vec<Beam>,
-    range_noise_m: f64,
-    dropout: f64,
+    lasers: Vec<Laser>,
+    /// Tangent of the steepest way up that a beam can take.
+    steepest: f64,
+    /// Azimuth from firing to firing \[rad\].
+    step_rad: f64,
 }
 
-/// One laser and where it ends if no wall is in its way.
+/// One laser as it is mounted.
 #[derive(Debug)]
-struct Beam {
-    laser: usize,
-    cos_elevation: f64,
-    /// Horizontal distance after which a wall no longer matters \[m\].
-    reach_m: f64,
-    /// What is hit there, if within the sensor's range: its intensity.
-    surface: Option<u8>,
+struct Laser {
+    index: usize,
+    /// Sine and cosine of its elevation, as it hangs.
+    sin: f64,
+    cos: f64,
+    /// Sine and cosine of what the sensor turns by before it fires.
+    turn: (f64, f64),
+    /// The same as a share of the step.
+    share: f64,
 }
 
-impl Beam {
-    fn new(laser: usize, is_upside_down: bool) -> Self {
-        let sign = if is_upside_down { -1.0 } else { 1.0 };
-        // The manual's angles in f64 leave the horizontal beam 1e-15 deg off.
-        let degrees = if laser == HORIZONTAL_LASER { 0.0 } else { sign * ELEVATION_DEG[laser] };
-        let (sin, cos) = libm::sincos(degrees.to_radians());
-        let (height_m, intensity) = if sin < 0.0 {
-            (SENSOR_HEIGHT_M, FLOOR_INTENSITY)
-        } else {
-            (CEILING_HEIGHT_M - SENSOR_HEIGHT_M, CEILING_INTENSITY)
-        };
-        let range_m = height_m / sin.abs(); // infinite for the horizontal beam
-        Self {
-            laser,
-            cos_elevation: cos,
-            reach_m: range_m.min(MAX_RANGE_M) * cos,
-            surface: (range_m <= MAX_RANGE_M).then_some(intensity),
-        }
-    }
+/// The packets of one message, before they are made.
+struct Firings<'a> {
+    drive: &'a Drive,
+    /// Number of the message's first firing in the drive.
+    first: u64,
+    /// Where the sensor is at every firing, padded.
+    places: Vec<Place>,
+    /// The columns of every firing, padded: those of `k` are `entries[starts[k]..starts[k + 1]]`.
+    starts: Vec<u32>,
+    entries: Vec<Entry>,
+    crowd: Crowd,
 }
 
-/// What one firing measures, before noise.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Echo {
-    range_m: f64,
-    intensity: u8,
+/// The sensor at one firing.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    from: Vector3<f64>,
+    heading_rad: f64,
+    pitch_rad: f64,
 }
 
 impl Sensor {
     pub(crate) fn new(options: &Options) -> Self {
-        let lasers = match options.lasers {
+        let range = match options.lasers {
             Lasers::Three => HORIZONTAL_LASER - 1..HORIZONTAL_LASER + 2,
             Lasers::All => 0..LASERS,
         };
+        let step_rad = azimuth_step_counts(options.spin_hz) * TAU / f64::from(AZIMUTH_COUNTS);
+        let sign = if options.upside_down { -1.0 } else { 1.0 };
+        let elevation_rad = |laser: usize| match laser {
+            // The manual's angles in f64 leave the horizontal beam 1e-15 deg off.
+            HORIZONTAL_LASER => 0.0,
+            _ => sign * ELEVATION_DEG[laser].to_radians(),
+        };
+        let lasers: Vec<Laser> = range
+            .clone()
+            .map(|index| {
+                let (sin, cos) = libm::sincos(elevation_rad(index));
+                let share = index as f64 / PERIODS_PER_BLOCK as f64;
+                Laser { index, sin, cos, turn: libm::sincos(share * step_rad), share }
+            })
+            .collect();
+        let highest_rad = range.map(elevation_rad).fold(0.0, f64::max) + MAX_PITCH_RAD;
         Self {
-            spin_hz: options.spin_hz,
-            y_sign: if options.upside_down { 1.0 } else { -1.0 },
-            beams: lasers.map(|laser| Beam::new(laser, options.upside_down)).collect(),
-            range_noise_m: options.range_noise_m,
-            dropout: options.dropout,
+            options: options.clone(),
+            y_sign: -sign,
+            lasers,
+            steepest: libm::tan(highest_rad),
+            step_rad,
         }
     }
 
@@ -121,251 +150,307 @@ impl Sensor {
         message: u64,
         random: &mut Random,
     ) -> Vec<StampedPacket> {
-        let n_packets = packets_per_message(self.spin_hz);
-        let first = message * n_packets;
-        let packet_ns = |packet: u64| drive.first_firing_ns() + packet as i64 * PACKET_PERIOD_NS;
-        // People walk straight and steadily for the tenth of a second that a message takes.
-        let (from_ns, to_ns) = (packet_ns(first), packet_ns(first + n_packets));
-        let crowd =
-            Crowd { from_ns, to_ns, from: drive.people_at(from_ns), to: drive.people_at(to_ns) };
-        (first..first + n_packets)
-            .map(|packet| {
-                let start_ns = packet_ns(packet);
-                let bytes = self.packet(drive, packet, start_ns, &crowd, random);
-                (start_ns + PACKET_PERIOD_NS, bytes)
-            })
-            .collect()
+        let n_packets = packets_per_message(&self.options);
+        let per_packet = firings_per_packet(&self.options);
+        let firings = self.firings(drive, message * n_packets * per_packet as u64, {
+            n_packets as usize * per_packet
+        });
+        let mut packets = Vec::with_capacity(n_packets as usize);
+        for packet in 0..n_packets {
+            let start_ns = firing_ns(drive, firings.first + packet * per_packet as u64);
+            let bytes = self.packet(&firings, packet as usize * per_packet, start_ns, random);
+            if !random.chance(self.options.packet_loss) {
+                packets.push((start_ns + packet_period_ns(&self.options), bytes));
+            }
+        }
+        packets
     }
 
+    /// Looks around at every firing of a message.
+    fn firings<'a>(&self, drive: &'a Drive, first: u64, n: usize) -> Firings<'a> {
+        let n_padded = n + 2 * PADDING;
+        let ns = |k: usize| firing_ns(drive, first) + (k as i64 - PADDING as i64) * BLOCK_PERIOD_NS;
+        // Between the ends of a packet the robot moves evenly, to 1e-7 m and 1e-7 rad.
+        let mut places = Vec::with_capacity(n_padded + BLOCKS);
+        let mut here = drive.motion_at(ns(0));
+        for k in (0..n_padded).step_by(BLOCKS) {
+            let next = drive.motion_at(ns(k + BLOCKS));
+            let on_the_way = |block| Place::between(&here, &next, block as f64 / BLOCKS as f64);
+            places.extend((0..BLOCKS).map(on_the_way));
+            here = next;
+        }
+        places.truncate(n_padded);
+
+        let mut starts = vec![0];
+        let mut entries = Vec::with_capacity(4 * n_padded);
+        for (k, place) in places.iter().enumerate() {
+            let azimuth = self.azimuth_rad(drive, first as f64 + k as f64 - PADDING as f64);
+            let bearing = place.heading_rad + self.y_sign * azimuth;
+            let from = (Point::new(place.from.x, place.from.y), SENSOR_HEIGHT_M);
+            let limits = (MAX_RANGE_M, self.steepest);
+            drive.world().column(from, forward(bearing), limits, &mut entries);
+            starts.push(entries.len() as u32);
+        }
+        let (from_ns, to_ns) = (ns(PADDING), ns(PADDING + n));
+        let crowd = Crowd {
+            // People walk straight and steadily for the tenth of a second that a message takes.
+            from: drive.people_at(from_ns),
+            to: drive.people_at(to_ns),
+            n_firings: n,
+        };
+        Firings { drive, first, places, starts, entries, crowd }
+    }
+
+    /// Azimuth of the block of firing number `firing` \[rad\].
+    fn azimuth_rad(&self, drive: &Drive, firing: f64) -> f64 {
+        self.azimuth_counts(drive, firing) * TAU / f64::from(AZIMUTH_COUNTS)
+    }
+
+    fn azimuth_counts(&self, drive: &Drive, firing: f64) -> f64 {
+        let passed = firing * azimuth_step_counts(self.options.spin_hz);
+        (drive.start_azimuth_counts() + passed).rem_euclid(f64::from(AZIMUTH_COUNTS))
+    }
+
+    /// The packet that begins with the message's firing number `first`.
     fn packet(
         &self,
-        drive: &Drive,
-        packet: u64,
+        firings: &Firings,
+        first: usize,
         start_ns: i64,
-        crowd: &Crowd,
         random: &mut Random,
     ) -> [u8; PACKET_BYTES] {
-        let step = azimuth_step_counts(self.spin_hz);
-        let full = f64::from(AZIMUTH_COUNTS);
+        let blocks_per_firing = BLOCKS / firings_per_packet(&self.options);
         let azimuths: [f64; BLOCKS] = std::array::from_fn(|block| {
-            let passed = (packet * BLOCKS as u64 + block as u64) as f64 * step;
-            (drive.start_azimuth_counts() + passed).rem_euclid(full)
+            let firing = firings.first + (first + block / blocks_per_firing) as u64;
+            self.azimuth_counts(firings.drive, firing as f64)
         });
         // The device's clock and the host's are one; the device stamps the first firing (VLP-16
         // manual 63-9243, "Time stamp"; the HDL-32E's manual does not say).
         let device_time_us = (start_ns / 1000).rem_euclid(i64::from(HOUR_US)) as u32;
-        let rounded = azimuths.map(|azimuth| azimuth.round() as u16 % AZIMUTH_COUNTS);
-        let mut builder = PacketBuilder::new(rounded, device_time_us);
-
-        let mut here = drive.position_at(start_ns);
-        for (block, azimuth) in azimuths.into_iter().enumerate() {
-            let block_ns = start_ns + block as i64 * BLOCK_PERIOD_NS;
-            let next = drive.position_at(block_ns + BLOCK_PERIOD_NS);
-            let motion = BlockMotion::new(here, next, azimuth, step, self.y_sign);
-            let people = crowd.near(block_ns, &motion);
-            for beam in &self.beams {
-                let (from, direction) = motion.at(beam.laser);
-                let echo = beam.echo(drive.walls(), &people, from, direction);
-                if let Some((counts, intensity)) = self.measure(echo, random) {
-                    builder.set_return(block, beam.laser, counts, intensity);
-                }
+        let mut read = [0; BLOCKS];
+        for block in (0..BLOCKS).step_by(blocks_per_firing) {
+            let counts = azimuths[block] + AZIMUTH_NOISE_COUNTS * random.normal();
+            let counts = counts.round().rem_euclid(f64::from(AZIMUTH_COUNTS)) as u16;
+            read[block..block + blocks_per_firing].fill(counts % AZIMUTH_COUNTS);
+        }
+        let mut builder = PacketBuilder::new(read, device_time_us);
+        if self.options.dual_return {
+            builder.set_return_mode(ReturnMode::Dual);
+        }
+        let mut people = Vec::new();
+        for block in (0..BLOCKS).step_by(blocks_per_firing) {
+            let firing = first + block / blocks_per_firing;
+            let azimuth_rad = azimuths[block] * TAU / f64::from(AZIMUTH_COUNTS);
+            let aim = Aim::new(firings, firing, azimuth_rad);
+            firings.crowd.near(firing, &aim, self.y_sign, self.step_rad, &mut people);
+            let ceiling_m =
+                firings.drive.world().ceiling_m(Point::new(aim.place.from.x, aim.place.from.y));
+            for laser in &self.lasers {
+                let (ray, turned) = aim.ray(laser, self.y_sign);
+                // In firings from the first column.
+                let at = (firing + PADDING) as f64 + laser.share + turned / self.step_rad;
+                let scene = Scene {
+                    world: firings.drive.world(),
+                    people: &people,
+                    ceiling_m,
+                    columns: firings.columns_around(at),
+                };
+                let echoes =
+                    scene.echoes(&ray, self.options.mixed_pixels, self.options.dual_return, random);
+                self.set_returns(&mut builder, block, laser.index, echoes, random);
             }
-            here = next;
         }
         builder.finish()
     }
 
-    /// Adds dropouts and noise, rounds to the packet's counts.
-    fn measure(&self, echo: Option<Echo>, random: &mut Random) -> Option<(u16, u8)> {
-        let Echo { range_m, intensity } = echo?;
-        if random.chance(self.dropout) {
+    fn set_returns(
+        &self,
+        builder: &mut PacketBuilder,
+        block: usize,
+        laser: usize,
+        (first, second): (Option<Echo>, Option<Echo>),
+        random: &mut Random,
+    ) {
+        let first = first.and_then(|echo| self.measure(&echo, random));
+        if !self.options.dual_return {
+            if let Some((_, counts, intensity)) = first {
+                builder.set_return(block, laser, counts, intensity);
+            }
+            return;
+        }
+        let second = second.and_then(|echo| self.measure(&echo, random));
+        let (Some(one), Some(other)) = (first.or(second), second.or(first)) else { return };
+        // The last return, then the strongest.
+        let last = if one.1 < other.1 { other } else { one };
+        let strongest = if one.0 < other.0 { other } else { one };
+        builder.set_return(block, laser, last.1, last.2);
+        builder.set_return(block + 1, laser, strongest.1, strongest.2);
+    }
+
+    /// Adds dropouts and noise, rounds to the packet's counts: power, distance and intensity.
+    #[inline]
+    fn measure(&self, echo: &Echo, random: &mut Random) -> Option<(f64, u16, u8)> {
+        let power = echo.reflectivity * echo.cosine / (echo.range_m * echo.range_m);
+        let share = (power / WEAKEST - (1.0 - FADES_BY)) / (2.0 * FADES_BY);
+        if !random.chance(share.min(1.0) * (1.0 - self.options.dropout)) {
             return None;
         }
-        let noisy_m = range_m + self.range_noise_m * random.normal();
+        let noisy_m = echo.range_m + self.options.range_noise_m * random.quick_normal();
         // Float to integer saturates: below zero is zero, no return.
         let counts = (noisy_m / METRES_PER_COUNT).round() as u16;
-        (0 < counts).then_some((counts, intensity))
+        // Calibrated intensities tell the surface, not the distance.
+        let intensity = (255.0 * echo.reflectivity * (0.5 + 0.5 * echo.cosine)).round() as u8;
+        (0 < counts).then_some((power, counts, intensity.max(1)))
     }
 }
 
-impl Beam {
-    /// The first thing in the way of the beam from `from` along the horizontal unit vector.
-    fn echo(
-        &self,
-        walls: &Walls,
-        people: &[Point],
-        from: Point,
-        direction: Vector,
-    ) -> Option<Echo> {
-        let person = people.iter().filter_map(|&p| meet_person(p, from, direction));
-        let person_m = person.fold(f64::INFINITY, f64::min);
-        let limit_m = self.reach_m.min(person_m);
-        let (horizontal_m, intensity) = match walls.cast(from, direction, limit_m) {
-            Some(hit) => (hit.range_m, 20 + (hit.segment % 80) as u8),
-            None if person_m <= self.reach_m => (person_m, PERSON_INTENSITY),
-            None => (self.reach_m, self.surface?),
-        };
-        Some(Echo { range_m: horizontal_m / self.cos_elevation, intensity })
-    }
+/// When a firing begins \[ns\].
+fn firing_ns(drive: &Drive, firing: u64) -> i64 {
+    drive.first_firing_ns() + firing as i64 * BLOCK_PERIOD_NS
 }
 
-/// Where the sensor is and looks during one block.
-///
-/// Position and direction change linearly from laser to laser; over 46 us that is exact to
-/// 1e-9 m and 1e-9 rad.
-struct BlockMotion {
-    from: Point,
-    /// Way of the robot until the next block.
-    moved: Vector,
-    /// Direction of the block's first firing.
-    direction: Vector,
-    /// Counter-clockwise turn of the beam until the next block: the spin and the robot's \[rad\].
-    turned: f64,
-}
-
-impl BlockMotion {
-    fn new(
-        here: (Point, Vector),
-        next: (Point, Vector),
-        azimuth_counts: f64,
-        step_counts: f64,
-        y_sign: f64,
-    ) -> Self {
-        let rad = |counts: f64| (counts * 0.01).to_radians();
-        let forward = here.1;
-        let left = Vector::new(-forward.y, forward.x);
-        let (sin, cos) = libm::sincos(rad(azimuth_counts));
+impl Place {
+    fn between(here: &Motion, next: &Motion, share: f64) -> Self {
+        let (a, b) = (Vector3::from(here.sensor_position_m()), next.sensor_position_m());
+        let turned = wrap_angle(next.pose.heading_rad - here.pose.heading_rad);
         Self {
-            from: here.0,
-            moved: next.0 - here.0,
-            direction: forward * cos + left * (y_sign * sin),
-            // The sine of so small an angle is the angle.
-            turned: y_sign * rad(step_counts) + cross(forward, next.1),
+            from: a + (Vector3::from(b) - a) * share,
+            heading_rad: here.pose.heading_rad + share * turned,
+            pitch_rad: here.pitch_rad + share * (next.pitch_rad - here.pitch_rad),
+        }
+    }
+}
+
+impl Firings<'_> {
+    fn column(&self, k: usize) -> &[Entry] {
+        &self.entries[self.starts[k] as usize..self.starts[k + 1] as usize]
+    }
+
+    /// The columns just before and after a place between two firings, from the first column on.
+    fn columns_around(&self, at: f64) -> (&[Entry], &[Entry]) {
+        let k = (at.max(0.0) as usize).min(self.starts.len() - 3);
+        (self.column(k), self.column(k + 1))
+    }
+}
+
+/// Where the sensor looks during one firing.
+struct Aim {
+    place: Place,
+    /// Way of the sensor until the next firing.
+    moved: Vector3<f64>,
+    /// Sines and cosines of the heading, the pitch, and the azimuth of the first laser. Heading and
+    /// pitch are those of the middle of the firing: laser 15's to 1e-6 rad, and the others' to
+    /// 5e-5 rad where the robot turns by 2 rad/s.
+    heading: (f64, f64),
+    pitch: (f64, f64),
+    azimuth: (f64, f64),
+}
+
+impl Aim {
+    fn new(firings: &Firings, firing: usize, azimuth_rad: f64) -> Self {
+        let (place, next) =
+            (firings.places[firing + PADDING], firings.places[firing + PADDING + 1]);
+        // Laser 15.5 of 40.
+        let middle = |a: f64, b: f64| a + 0.3875 * (b - a);
+        Self {
+            place,
+            moved: next.from - place.from,
+            heading: libm::sincos(middle(place.heading_rad, next.heading_rad)),
+            pitch: libm::sincos(middle(place.pitch_rad, next.pitch_rad)),
+            azimuth: libm::sincos(azimuth_rad),
         }
     }
 
-    /// Origin and direction of a laser's firing.
-    fn at(&self, laser: usize) -> (Point, Vector) {
-        let share = laser as f64 / PERIODS_PER_BLOCK as f64;
-        let angle = share * self.turned;
-        // Taylor series; the next terms are below 1e-13 for the 0.4 deg of a block at 20 Hz.
-        let (sin, cos) = (angle - angle * angle * angle / 6.0, 1.0 - angle * angle / 2.0);
-        let d = self.direction;
-        let direction = Vector::new(cos * d.x - sin * d.y, sin * d.x + cos * d.y);
-        (self.from + self.moved * share, direction)
+    /// A laser's beam, and by how much azimuth the pitch turns its bearing, about \[rad\].
+    #[inline]
+    fn ray(&self, laser: &Laser, y_sign: f64) -> (Ray, f64) {
+        let (sin, cos) = self.azimuth;
+        let (sin, cos) =
+            (sin * laser.turn.1 + cos * laser.turn.0, cos * laser.turn.1 - sin * laser.turn.0);
+        // In the sensor's frame, upright: x forward, y left.
+        let (x, y, z) = (laser.cos * cos, y_sign * laser.cos * sin, laser.sin);
+        let (pitch_sin, pitch_cos) = self.pitch;
+        let (x, z) = (x * pitch_cos + z * pitch_sin, z * pitch_cos - x * pitch_sin);
+        let (heading_sin, heading_cos) = self.heading;
+        let direction =
+            Vector3::new(x * heading_cos - y * heading_sin, x * heading_sin + y * heading_cos, z);
+        let from = self.place.from + self.moved * laser.share;
+        // Small angles: tan(elevation) x pitch, across the beam.
+        let turned = -sin * pitch_sin * laser.sin / laser.cos;
+        (Ray { from, direction }, turned)
     }
 }
 
 /// The people during one message.
 struct Crowd {
-    from_ns: i64,
-    to_ns: i64,
     from: Vec<Point>,
     to: Vec<Point>,
+    n_firings: usize,
 }
 
 impl Crowd {
-    /// Those that a beam can meet during a block.
-    fn near(&self, block_ns: i64, motion: &BlockMotion) -> Vec<Point> {
-        let share = (block_ns - self.from_ns) as f64 / (self.to_ns - self.from_ns) as f64;
-        let people = self.from.iter().zip(&self.to);
-        people
-            .map(|(from, to)| from + (to - from) * share)
-            .filter(|person| {
-                let way = person - motion.from;
-                let ahead = way.dot(&motion.direction);
-                // The beam turns on within the block.
-                let aside = PERSON_RADIUS_M + ahead * motion.turned.abs();
+    /// Those that a beam can meet during a firing.
+    fn near(&self, firing: usize, aim: &Aim, y_sign: f64, step_rad: f64, near: &mut Vec<Point>) {
+        near.clear();
+        let share = firing as f64 / self.n_firings as f64;
+        let (sin, cos) = aim.azimuth;
+        let (heading_sin, heading_cos) = aim.heading;
+        let y = y_sign * sin;
+        let direction =
+            Vector::new(cos * heading_cos - y * heading_sin, cos * heading_sin + y * heading_cos);
+        let from = Point::new(aim.place.from.x, aim.place.from.y);
+        // The sensor turns on within the firing, and the pitch turns steep beams.
+        let slack = step_rad + aim.pitch.0.abs();
+        near.extend(self.from.iter().zip(&self.to).map(|(a, b)| a + (b - a) * share).filter(
+            |person| {
+                let way = person - from;
+                let ahead = way.dot(&direction);
                 0.0 < ahead
-                    && cross(motion.direction, way).abs() < aside
+                    && ahead < MAX_RANGE_M
+                    && cross(direction, way).abs() < PERSON_RADIUS_M + ahead * slack
                     && STEP_ASIDE_M * STEP_ASIDE_M < way.norm_squared()
-            })
-            .collect()
+            },
+        ));
     }
-}
-
-/// Range at which a ray enters the disc of a person.
-fn meet_person(person: Point, from: Point, direction: Vector) -> Option<f64> {
-    let way = person - from;
-    let aside = cross(direction, way);
-    let inside = PERSON_RADIUS_M * PERSON_RADIUS_M - aside * aside;
-    (0.0 <= inside).then(|| way.dot(&direction) - inside.sqrt()).filter(|range| 0.0 < *range)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::walls::{Rect, outline};
-
-    /// A room of 10 x 6 m; the robot in its middle looks along x.
-    fn room() -> Walls {
-        let (a, b) = (Point::new(-5.0, -3.0), Point::new(5.0, 3.0));
-        Walls::new(outline(&[Rect::new(a, b)], &[]))
-    }
-
-    fn still() -> (Point, Vector) {
-        (Point::origin(), Vector::new(1.0, 0.0))
-    }
-
-    fn range_m(laser: usize, azimuth_deg: f64, people: &[Point], is_upside_down: bool) -> f64 {
-        let y_sign = if is_upside_down { 1.0 } else { -1.0 };
-        let motion = BlockMotion::new(still(), still(), azimuth_deg * 100.0, 0.0, y_sign);
-        let (from, direction) = motion.at(laser);
-        Beam::new(laser, is_upside_down).echo(&room(), people, from, direction).unwrap().range_m
-    }
-
-    #[track_caller]
-    fn check(found: f64, expected: f64) {
-        assert!((found - expected).abs() < 1e-4, "{found}, expected {expected}");
-    }
-
-    /// Ahead 5 m; right (azimuth 90 deg) and left 3 m; 3 / sin 45 deg = 4.2426 m.
-    #[test]
-    fn the_horizontal_laser_in_a_room() {
-        for (azimuth_deg, expected) in
-            [(0.0, 5.0), (90.0, 3.0), (180.0, 5.0), (270.0, 3.0), (45.0, 4.2426)]
-        {
-            check(range_m(15, azimuth_deg, &[], false), expected);
-        }
-    }
-
-    /// Laser 14 looks down by 21.3333 deg: 0.8 / sin = 2.1991 m, nearer than any wall. Laser 12
-    /// looks down by 22.6667 deg and laser 13 by 1.3333 deg: 3 / cos = 3.0008 m to the wall. Upside
-    /// down laser 14 looks up: 1.9 m to the ceiling / sin = 5.2227 m, but 3 / cos = 3.2207 m to a
-    /// side wall.
-    #[test]
-    fn other_lasers_meet_floor_wall_or_ceiling() {
-        check(range_m(14, 0.0, &[], false), 2.1991);
-        check(range_m(13, 90.0, &[], false), 3.0008);
-        check(range_m(14, 0.0, &[], true), 5.2227);
-        check(range_m(14, 90.0, &[], true), 3.2207);
-    }
-
-    /// A person 2 m ahead and 1 m to the left is met at azimuth 360 - 26.565 deg, at
-    /// sqrt(5) - 0.25 = 1.9861 m; upside down at 26.565 deg.
-    #[test]
-    fn a_person_to_the_left() {
-        let person = [Point::new(2.0, 1.0)];
-        check(range_m(15, 333.435, &person, false), 1.9861);
-        check(range_m(15, 26.565, &person, true), 1.9861);
-        check(range_m(15, 26.565, &person, false), 5.5902); // 5 / cos 26.565 deg, the wall
-    }
-
-    /// Laser 15 fires 15/40 of the step after its block: at azimuth 90 deg and a step of 0.4 deg,
-    /// 90.15 deg, and the robot has moved by 3 mm of the 8 to the next block.
-    #[test]
-    fn a_laser_fires_at_its_own_time_and_azimuth() {
-        let next = (Point::new(0.008, 0.0), Vector::new(1.0, 0.0));
-        let (from, direction) = BlockMotion::new(still(), next, 9000.0, 40.0, -1.0).at(15);
-        check(from.x, 0.003);
-        check(direction.x, -0.002618); // cos 90.15 deg
-        check(direction.y, -1.0);
-    }
 
     #[test]
-    fn a_message_is_a_turn_and_a_block_step_no_whole_number() {
-        assert_eq!(packets_per_message(10.0), 181);
-        assert_eq!(packets_per_message(20.0), 91);
+    fn a_message_is_a_turn_and_a_firing_no_whole_number_of_counts() {
+        let options = |spin_hz, dual_return| Options { spin_hz, dual_return, ..Options::default() };
+        assert_eq!(packets_per_message(&options(10.0, false)), 181);
+        assert_eq!(packets_per_message(&options(20.0, false)), 91);
+        assert_eq!(packets_per_message(&options(10.0, true)), 362);
+        assert_eq!(packet_period_ns(&options(10.0, true)), 276_480);
         assert!((azimuth_step_counts(10.0) - 16.5888).abs() < 1e-12);
+    }
+
+    /// Level, heading along x, azimuth 90 deg: to the right. Laser 15 fires 15/40 of the step of
+    /// 0.16589 deg later. Leaning forward by 0.1 rad, a beam ahead and up by 10.667 deg points up
+    /// by 0.18617 - 0.1 rad; one aside keeps its elevation, nearly, and is turned by tan x pitch.
+    #[test]
+    fn a_laser_fires_at_its_own_azimuth_and_leans_with_the_base() {
+        let sensor = Sensor::new(&Options { lasers: Lasers::All, ..Options::default() });
+        let aim = |azimuth_deg: f64, pitch: f64| Aim {
+            place: Place { from: Vector3::zeros(), heading_rad: 0.0, pitch_rad: pitch },
+            moved: Vector3::zeros(),
+            heading: (0.0, 1.0),
+            pitch: libm::sincos(pitch),
+            azimuth: libm::sincos(azimuth_deg.to_radians()),
+        };
+        let (ray, turned) = aim(90.0, 0.0).ray(&sensor.lasers[15], -1.0);
+        let late = (0.165_888f64 * 15.0 / 40.0).to_radians();
+        assert!((ray.direction - Vector3::new(-late, -1.0, 0.0)).norm() < 1e-6);
+        assert_eq!(turned, 0.0);
+        // Laser 31 is the highest.
+        let (ray, _) = aim(-0.165_888 * 31.0 / 40.0, 0.1).ray(&sensor.lasers[31], -1.0);
+        assert!((libm::asin(ray.direction.z) - (0.186_17 - 0.1)).abs() < 1e-4);
+        let (ray, turned) = aim(90.0 - 0.165_888 * 31.0 / 40.0, 0.1).ray(&sensor.lasers[31], -1.0);
+        let azimuth = libm::atan2(-ray.direction.y, ray.direction.x);
+        assert!((azimuth - 90f64.to_radians() - turned).abs() < 1e-4, "{azimuth} {turned}");
+        assert!((turned + 0.1 * libm::tan(0.186_17)).abs() < 1e-3, "{turned}");
     }
 }

@@ -3,20 +3,31 @@
 use std::io::Cursor;
 
 use messages::hdl32e::{self, Packet};
-use messages::{Source, StampedPose3, read_pose, read_velodyne};
+use messages::{
+    Imu, JointState, Source, StampedPose3, Transform, read_imu, read_joint_state, read_pose,
+    read_transforms, read_velodyne,
+};
 use simulate::{
-    Campus, Compression, DriveSummary, Encoding, Lasers, Options, PACKETS_TOPIC, POSE_PERIOD_NS,
-    POSE_TOPIC, Point, Segment, SimulateError, write_drive,
+    Campus, Compression, DriveSummary, Encoding, IMU_TOPIC, Lasers, Map, Options, PACKETS_TOPIC,
+    POSE_PERIOD_NS, POSE_TOPIC, SimulateError, TF_STATIC_TOPIC, TF_TOPIC, WHEELS, WHEELS_TOPIC,
+    write_drive,
 };
 
 /// Short drives without noise or people.
 fn quiet() -> Options {
-    Options { length_m: 6.0, range_noise_m: 0.0, dropout: 0.0, people: 0, ..Options::default() }
+    Options {
+        length_m: 6.0,
+        range_noise_m: 0.0,
+        dropout: 0.0,
+        mixed_pixels: 0.0,
+        people: 0,
+        ..Options::default()
+    }
 }
 
 fn write(campus: &Campus, log: usize) -> (Vec<u8>, DriveSummary) {
     let mut out = Cursor::new(Vec::new());
-    let summary = write_drive(campus, log, &mut out).unwrap();
+    let summary = write_drive(campus, log, 0, &mut out).unwrap();
     (out.into_inner(), summary)
 }
 
@@ -30,6 +41,10 @@ fn on_threads(n: usize, campus: &Campus) -> Vec<u8> {
 struct Log {
     scans: Vec<Scan>,
     poses: Vec<(i64, StampedPose3)>,
+    imu: Vec<Imu>,
+    wheels: Vec<JointState>,
+    tf: Vec<Vec<Transform>>,
+    tf_static: Vec<Vec<Transform>>,
 }
 
 struct Scan {
@@ -55,6 +70,10 @@ fn read(bytes: &[u8]) -> Log {
                 let pose = read_pose(source, &message.data).unwrap();
                 log.poses.push((log_time_ns, pose));
             }
+            IMU_TOPIC => log.imu.push(read_imu(source, &message.data).unwrap()),
+            WHEELS_TOPIC => log.wheels.push(read_joint_state(source, &message.data).unwrap()),
+            TF_TOPIC => log.tf.push(read_transforms(source, &message.data).unwrap()),
+            TF_STATIC_TOPIC => log.tf_static.push(read_transforms(source, &message.data).unwrap()),
             other => panic!("topic {other}"),
         }
     }
@@ -101,7 +120,7 @@ fn packets_follow_the_manual() {
     assert!(0 < borders[0]);
     for pair in borders.windows(2) {
         let step = (i32::from(pair[1]) - i32::from(pair[0])).rem_euclid(36_000);
-        assert!((30..=32).contains(&step), "{step}");
+        assert!((28..=34).contains(&step), "{step}");
     }
 
     let mut expected_ns = drive.first_firing_ns();
@@ -116,13 +135,14 @@ fn packets_follow_the_manual() {
         assert_eq!(packet.product(), hdl32e::PRODUCT_HDL32E);
         assert_eq!(packet.return_mode(), Some(hdl32e::ReturnMode::Strongest));
     }
-    // A block's step is 16.5888 counts: 16 or 17, and after n blocks never off by more than one.
+    // A block's step is 16.5888 counts, read with a deviation of 0.3: after n blocks it is never off
+    // by more than five deviations and the rounding.
     for (n, pair) in azimuths.windows(2).enumerate() {
         let step = (pair[1] - pair[0]).rem_euclid(36_000);
-        assert!(step == 16 || step == 17, "{step} after block {n}");
+        assert!((14..=19).contains(&step), "{step} after block {n}");
         let expected = f64::from(azimuths[0]) + n as f64 * 16.5888;
         let error = (f64::from(pair[0]) - expected + 18_000.0).rem_euclid(36_000.0) - 18_000.0;
-        assert!(error.abs() <= 1.0, "{error} at block {n}");
+        assert!(error.abs() <= 5.0, "{error} at block {n}");
     }
 }
 
@@ -154,103 +174,178 @@ fn true_poses_surround_the_firings() {
             let truth = drive.pose_at(pose.stamp_ns);
             assert_eq!(pose.position, [truth.x_m, truth.y_m, 0.0]);
             let [x, y, z, w] = pose.orientation;
-            assert_eq!([x, y], [0.0, 0.0]);
-            let heading_rad = 2.0 * z.atan2(w);
+            let heading_rad = f64::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z));
             assert!(dataset::wrap_angle(heading_rad - truth.heading_rad).abs() < 1e-12);
+            let pitch_rad = (2.0 * (w * y - z * x)).asin();
+            assert!((pitch_rad - drive.motion_at(pose.stamp_ns).pitch_rad).abs() < 1e-12);
         }
     }
 }
 
-/// Decodes the returns of laser 15 by the manual's numbers alone, and places them in the map:
-/// (point, range, expected range).
-fn laser_15(campus: &Campus, log: usize) -> Vec<(Point, f64, Option<f64>)> {
-    let (bytes, _) = write(campus, log);
-    let drive = campus.drive(log);
-    let step_deg = 360.0 * campus.options().spin_hz * 46.08e-6;
-    let y_sign = if campus.options().upside_down { 1.0 } else { -1.0 };
-    let mut returns = Vec::new();
-    for scan in read(&bytes).scans {
-        for (stamp_ns, packet) in scan.packets {
-            for (block, bytes) in packet.chunks_exact(100).take(12).enumerate() {
-                let u16_at = |at: usize| f64::from(u16::from_le_bytes([bytes[at], bytes[at + 1]]));
-                let azimuth_deg = u16_at(2) * 0.01 + step_deg * 15.0 / 40.0;
-                let range_m = u16_at(4 + 3 * 15) * 0.002;
-                let ns = stamp_ns - 552_960 + block as i64 * 46_080 + 15 * 1_152;
-                let pose = drive.pose_at(ns);
-                let bearing = pose.heading_rad + y_sign * azimuth_deg.to_radians();
-                let from = Point::new(pose.x_m, pose.y_m);
-                let point =
-                    Point::new(from.x + range_m * bearing.cos(), from.y + range_m * bearing.sin());
-                returns.push((point, range_m, drive.range_m(from, bearing)));
-            }
-        }
-    }
-    returns
-}
-
-/// Distance to the nearest wall, if within 20 mm, else infinite \[m\].
-fn distance_to_walls_m(segments: &[Segment], point: Point) -> f64 {
-    let margin = 0.02;
-    let is_near = |a: f64, b: f64, at: f64| a.min(b) - margin < at && at < a.max(b) + margin;
-    segments
-        .iter()
-        .filter(|s| is_near(s.start.x, s.end.x, point.x) && is_near(s.start.y, s.end.y, point.y))
-        .map(|s| s.distance_m(point))
-        .fold(f64::INFINITY, f64::min)
-}
-
-/// The packet rounds ranges to 2 mm (error up to 1 mm) and azimuths to 0.01 deg: up to 0.005 deg,
-/// which is 4 mm at 45 m. So a return is on its wall to 5 mm up to there, and to 7.2 mm at 70 m.
+/// The numbers of the robot's messages, by hand: standing, the force is gravity's alone; in motion
+/// the wheels' mean is the speed, and their difference over the track the yaw rate.
 #[test]
-fn every_return_of_laser_15_lies_on_a_wall() {
+fn wheels_and_imu_say_how_the_robot_moves() {
+    let mut options = Options { length_m: 60.0, ..quiet() };
+    (options.wheels.slip, options.wheels.scale_error, options.wheels.scale_difference) =
+        (0.0, 0.0, 0.0);
+    (options.imu.gyro_noise, options.imu.gyro_bias, options.imu.acceleration_noise) =
+        (0.0, 0.0, 0.0);
+    options.imu.gyro_bias_walk = 0.0;
+    let campus = Campus::new(&options, 4).unwrap();
+    let (wheels, imu) = simulate::readings(&campus, 0);
+    let drive = campus.drive(0);
+    // 60 m at 2 m/s: 30 s at 50 and at 100 Hz.
+    assert_eq!((wheels.len(), imu.len()), (1501, 3001));
+    assert_eq!(wheels[0].names, WHEELS);
+    // Before the start the drive's poses stand still.
+    for reading in &wheels[1..] {
+        let (now, before) = (reading.stamp_ns, reading.stamp_ns - 20_000_000);
+        let (a, b) = (drive.pose_at(before), drive.pose_at(now));
+        let moved_m = a.distance_m(&b);
+        let turned_rad = dataset::wrap_angle(b.heading_rad - a.heading_rad);
+        let [left, right] = reading.velocities[..] else { panic!("two wheels") };
+        // A count of 0.5 mm at either end, each, in 20 ms.
+        assert!(((left + right) / 2.0 - moved_m / 0.02).abs() < 0.051, "{left} {right}");
+        assert!(((right - left) / 0.5 - turned_rad / 0.02).abs() < 0.11, "{left} {right}");
+    }
+    for reading in &imu {
+        let motion = drive.motion_at(reading.stamp_ns);
+        let force = reading.linear_acceleration.unwrap();
+        let size = force.iter().map(|f| f * f).sum::<f64>().sqrt();
+        assert!((9.7..12.0).contains(&size), "{force:?}");
+        let [x, y, z] = reading.angular_velocity;
+        let yaw_rate = (x * x + z * z).sqrt();
+        assert!((force[1].abs() - motion.speed_m_s.abs() * yaw_rate).abs() < 1e-6);
+        assert!(y.abs() < 0.5, "{y}");
+    }
+    let pitched = imu.iter().map(|r| r.angular_velocity[1].abs()).fold(0.0, f64::max);
+    assert!(0.02 < pitched, "{pitched}");
+}
+
+/// map -> odom -> base_link is the truth; the sensor is mounted once, at the start of every file.
+#[test]
+fn transforms_lead_to_the_true_pose() {
     for upside_down in [false, true] {
-        let options = Options { upside_down, length_m: 24.0, ..quiet() };
-        let campus = Campus::new(&options, 11).unwrap();
-        for log in 0..2 {
-            let returns = laser_15(&campus, log);
-            let segments = campus.drive(log).segments();
-            let (mut n_returns, mut n_as_cast) = (0, 0);
-            for (point, range_m, cast_m) in &returns {
-                if *range_m <= 0.0 {
-                    continue;
-                }
-                n_returns += 1;
-                let off_m = distance_to_walls_m(segments, *point);
-                let limit_m = f64::max(0.005, 0.0011 + range_m * 0.005f64.to_radians());
-                assert!(off_m <= limit_m, "{off_m} m off at {range_m} m");
-                n_as_cast += usize::from(cast_m.is_some_and(|m| (m - range_m).abs() < 0.01));
-            }
-            // Indoors nearly every firing returns; at edges and under grazing incidence the rounded
-            // azimuth meets the wall elsewhere.
-            assert!(0.99 * (returns.len() as f64) < f64::from(n_returns), "{n_returns}");
-            assert!(0.95 * f64::from(n_returns) < n_as_cast as f64, "{n_as_cast}");
+        let options = Options { buildings: 3, upside_down, length_m: 30.0, ..quiet() };
+        let campus = Campus::new(&options, 4).unwrap();
+        let log = read(&write(&campus, 1).0);
+        let [mounted] = &log.tf_static[..] else { panic!("{} of them", log.tf_static.len()) };
+        assert_eq!((&*mounted[0].parent, &*mounted[0].child), ("base_link", "velodyne"));
+        assert_eq!(mounted[0].translation, [0.0, 0.0, simulate::SENSOR_HEIGHT_M]);
+        assert_eq!(mounted[0].rotation[0], f64::from(u8::from(upside_down)));
+        assert_eq!(log.tf.len(), log.wheels.len());
+        for transforms in &log.tf {
+            let [a, b] = &transforms[..] else { panic!("two transforms") };
+            let names = [&*a.parent, &*a.child, &*b.parent, &*b.child];
+            assert_eq!(names, ["map", "odom", "odom", "base_link"]);
+            let turn = 2.0 * a.rotation[2].atan2(a.rotation[3]);
+            let (sin, cos) = turn.sin_cos();
+            let x = a.translation[0] + cos * b.translation[0] - sin * b.translation[1];
+            let y = a.translation[1] + sin * b.translation[0] + cos * b.translation[1];
+            let truth = campus.drive(1).pose_at(a.stamp_ns);
+            assert!((x - truth.x_m).abs() < 1e-9 && (y - truth.y_m).abs() < 1e-9);
         }
     }
+}
+
+/// The files of a split log hold, one after the other, what the whole one holds.
+#[test]
+fn a_log_in_three_files_is_the_same_log() {
+    let whole = Campus::new(&Options { length_m: 12.0, ..quiet() }, 5).unwrap();
+    let split = Campus::new(&Options { length_m: 12.0, files: 3, ..quiet() }, 5).unwrap();
+    let mut joined = Log::default();
+    let mut n_packets = 0;
+    for file in 0..3 {
+        let mut out = Cursor::new(Vec::new());
+        n_packets += write_drive(&split, 0, file, &mut out).unwrap().packets;
+        let part = read(&out.into_inner());
+        assert_eq!(part.tf_static.len(), 1);
+        assert!(!part.scans.is_empty());
+        joined.scans.extend(part.scans);
+        joined.poses.extend(part.poses);
+        joined.imu.extend(part.imu);
+        joined.wheels.extend(part.wheels);
+    }
+    let (bytes, summary) = write(&whole, 0);
+    let whole = read(&bytes);
+    assert_eq!(n_packets, summary.packets);
+    let packets =
+        |log: &Log| -> Vec<_> { log.scans.iter().flat_map(|scan| scan.packets.clone()).collect() };
+    assert!(packets(&joined) == packets(&whole));
+    assert!(
+        joined.poses == whole.poses && joined.imu == whole.imu && joined.wheels == whole.wheels
+    );
+}
+
+/// Two blocks of one azimuth, the last return and the strongest; twice the packets in half the time
+/// each.
+#[test]
+fn dual_returns_come_in_pairs_of_blocks() {
+    let options = Options { dual_return: true, buildings: 3, length_m: 20.0, ..quiet() };
+    let campus = Campus::new(&options, 3).unwrap();
+    let log = read(&write(&campus, 0).0);
+    let mut n_two = 0;
+    let mut last_ns = None;
+    for (stamp_ns, packet) in packets(&log) {
+        assert_eq!(packet.return_mode(), Some(hdl32e::ReturnMode::Dual));
+        assert_eq!(last_ns.map_or(276_480, |last: i64| stamp_ns - last), 276_480);
+        last_ns = Some(stamp_ns);
+        for block in (0..hdl32e::BLOCKS).step_by(2) {
+            assert_eq!(packet.azimuth(block), packet.azimuth(block + 1));
+            let (last, strongest) = (packet.distance(block, 15), packet.distance(block + 1, 15));
+            assert!(strongest <= last || 0 == last);
+            assert_eq!(last == 0, strongest == 0);
+            n_two += usize::from(last != strongest);
+        }
+    }
+    assert!(100 < n_two, "{n_two} firings with two returns");
+}
+
+#[test]
+fn packets_are_lost_as_asked() {
+    let options = Options { packet_loss: 0.1, length_m: 20.0, ..quiet() };
+    let campus = Campus::new(&options, 3).unwrap();
+    let (bytes, summary) = write(&campus, 0);
+    assert_eq!(packets(&read(&bytes)).count() as u64, summary.packets);
+    let whole = Campus::new(&Options { packet_loss: 0.0, ..options }, 3).unwrap();
+    let share = 1.0 - summary.packets as f64 / write(&whole, 0).1.packets as f64;
+    // 17 557 packets: the deviation is 0.0023.
+    assert!((share - 0.1).abs() < 0.01, "{share}");
+}
+
+/// Ranges of laser 15.
+fn ranges(options: &Options) -> Vec<f64> {
+    let campus = Campus::new(options, 11).unwrap();
+    let log = read(&write(&campus, 0).0);
+    packets(&log)
+        .flat_map(|(_, packet)| (0..hdl32e::BLOCKS).map(move |block| packet.distance(block, 15)))
+        .map(|counts| f64::from(counts) * hdl32e::METRES_PER_COUNT)
+        .collect()
 }
 
 #[test]
 fn noise_dropouts_and_people_are_as_asked() {
-    let campus = |options| Campus::new(&options, 11).unwrap();
-    let ranges = |options| -> Vec<f64> {
-        laser_15(&campus(options), 0).into_iter().map(|(_, range_m, _)| range_m).collect()
-    };
-    let clean = ranges(quiet());
-    let noisy = ranges(Options { range_noise_m: 0.02, dropout: 0.1, ..quiet() });
-    let pairs: Vec<_> = clean.iter().zip(&noisy).filter(|(clean, _)| 0.0 < **clean).collect();
-    let lost = pairs.iter().filter(|(_, noisy)| **noisy <= 0.0).count() as f64;
-    assert!((lost / pairs.len() as f64 - 0.1).abs() < 0.005, "{lost} of {}", pairs.len());
-    let errors = pairs.iter().filter(|(_, noisy)| 0.0 < **noisy).map(|(c, n)| *n - *c);
-    let errors: Vec<f64> = errors.collect();
-    let mean = errors.iter().sum::<f64>() / errors.len() as f64;
-    let rms = (errors.iter().map(|e| e * e).sum::<f64>() / errors.len() as f64).sqrt();
-    assert!(mean.abs() < 0.0005 && (rms - 0.02).abs() < 0.0005, "mean {mean}, rms {rms}");
+    // Draws depend on what the beams meet, so only the sums can be compared.
+    let clean = ranges(&quiet());
+    let lost = |ranges: &[f64]| ranges.iter().filter(|r| **r <= 0.0).count() as f64;
+    let dropped = ranges(&Options { dropout: 0.1, ..quiet() });
+    let share = 1.0 - (dropped.len() as f64 - lost(&dropped)) / (clean.len() as f64 - lost(&clean));
+    assert!((share - 0.1).abs() < 0.006, "{share}");
 
-    // People only ever bring something nearer, or into range.
-    let crowded = ranges(Options { people: 200, ..quiet() });
-    let pairs: Vec<_> = clean.iter().zip(&crowded).filter(|(clean, _)| 0.0 < **clean).collect();
-    assert!(pairs.iter().all(|(clean, crowded)| 0.0 < **crowded && crowded <= clean));
-    let nearer = pairs.iter().filter(|(clean, crowded)| crowded < clean).count();
-    assert!(clean.len() < 100 * nearer, "{nearer} of {}", clean.len());
+    let noisy = ranges(&Options { range_noise_m: 0.02, ..quiet() });
+    let pairs = clean.iter().zip(&noisy).filter(|(a, b)| 0.0 < **a && 0.0 < **b);
+    let mut errors: Vec<f64> = pairs.map(|(a, b)| b - a).collect();
+    errors.sort_by(f64::total_cmp);
+    let quantile = |share: f64| errors[(share * errors.len() as f64) as usize];
+    let (median, spread) = (quantile(0.5), (quantile(0.8413) - quantile(0.1587)) / 2.0);
+    // The azimuth is read anew, which adds a little on slanted walls.
+    assert!(median.abs() < 0.001 && (0.019..0.024).contains(&spread), "{median}, {spread}");
+
+    let crowded = ranges(&Options { people: 200, ..quiet() });
+    let nearer = clean.iter().zip(&crowded).filter(|(a, b)| **b < **a - 0.1).count();
+    let farther = clean.iter().zip(&crowded).filter(|(a, b)| **a + 0.1 < **b).count();
+    assert!(clean.len() < 100 * nearer && 5 * farther < nearer, "{nearer} {farther}");
 }
 
 #[test]
@@ -263,9 +358,12 @@ fn all_lasers_or_three() {
         let returns = |laser: &usize| blocks().any(|(p, b)| 0 < p.distance(b, *laser));
         let found: Vec<usize> = (0..hdl32e::LASERS).filter(returns).collect();
         assert_eq!(found, expected.collect::<Vec<_>>());
-        horizontal.push(blocks().map(|(p, b)| p.distance(b, 15)).collect::<Vec<_>>());
+        let ranges = blocks().map(|(p, b)| f64::from(p.distance(b, 15)) * 0.002);
+        horizontal.push(ranges.collect::<Vec<_>>());
     }
-    assert!(horizontal[0] == horizontal[1], "the choice of lasers changes laser 15");
+    let pairs = horizontal[0].iter().zip(&horizontal[1]);
+    let same = pairs.filter(|(a, b)| (*a - *b).abs() < 0.01).count();
+    assert!(0.98 * (horizontal[0].len() as f64) < same as f64, "{same} of {}", horizontal[0].len());
 }
 
 #[test]
@@ -280,8 +378,9 @@ fn the_file_says_how_it_was_made_and_holds_to_the_format() {
             let (bytes, _) = write(&campus, 1);
             let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
             let stats = summary.stats.clone().unwrap();
-            // 27 scans; poses from 0 s to 3 s every 0.05 s.
-            assert_eq!(stats.message_count, 27 + 61);
+            // 27 scans; from 0 s to 3 s poses every 0.05 s, wheels and transforms every 0.02 s, the
+            // inertial measurement unit every 0.01 s; the sensor's mount.
+            assert_eq!(stats.message_count, 27 + 61 + 2 * 151 + 301 + 1);
             let drive = campus.drive(1);
             assert_eq!(stats.message_start_time as i64, drive.start_ns());
             let scans = summary.channels.values().find(|c| c.topic == PACKETS_TOPIC).unwrap();
@@ -355,20 +454,100 @@ fn bad_options_are_named() {
     check(|o| o.range_noise_m = -0.1, "simulate.range_noise_m is -0.1, expected 0 to 1");
     check(|o| o.dropout = 1.5, "simulate.dropout is 1.5, expected 0 to 1");
     check(|o| o.people = 1001, "simulate.people is 1001, expected 0 to 1000");
+    check(|o| o.buildings = 0, "simulate.buildings is 0, expected 1 to 40");
+    check(|o| o.imu.gyro_bias = -1.0, "simulate.imu.gyro_bias is -1, expected 0 to 1");
+    check(|o| o.wheels.track_m = 0.0, "simulate.wheels.track_m is 0, expected 0.05 to 5");
+    // 200 s are 1998 turns: no more than 999 files of two.
+    check(|o| o.files = 1000, "simulate.files is 1000, expected 1 to 999");
+    check(|o| o.map = Some("map.yaml".to_owned()), "simulate.map is set");
     // A message of 0.10009 s and two margins of 0.1 s, at 2 m/s: 0.60017 m.
     check(|o| o.length_m = 0.6, "drive at least 0.600 m");
     let enough = Options { length_m: 0.6002, ..Options::default() };
     assert_eq!(write(&Campus::new(&enough, 1).unwrap(), 0).1.packets, 181);
 
     let campus = Campus::new(&enough, 1).unwrap();
-    let error = write_drive(&campus, 2, Cursor::new(Vec::new())).unwrap_err();
-    assert!(matches!(error, SimulateError::NoSuchLog { log: 2, n_logs: 2 }), "{error}");
+    for (log, file) in [(2, 0), (0, 1)] {
+        let error = write_drive(&campus, log, file, Cursor::new(Vec::new())).unwrap_err();
+        assert!(matches!(error, SimulateError::NoSuchLog { n_logs: 2, .. }), "{error}");
+    }
 }
 
 #[test]
 fn a_full_disk_is_an_error() {
     let campus = Campus::new(&quiet(), 1).unwrap();
     let mut room = [0; 10_000];
-    let error = write_drive(&campus, 0, Cursor::new(&mut room[..])).unwrap_err();
+    let error = write_drive(&campus, 0, 0, Cursor::new(&mut room[..])).unwrap_err();
     assert!(matches!(error, SimulateError::Write(_)), "{error}");
+}
+
+/// A ring of corridors, 2 m wide, around a block of 16 m x 6 m, with a room that no robot can get
+/// into: drives go around, both ways, clear of walls, and the ranges fit.
+#[test]
+fn a_map_is_driven_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let (n_x, n_y) = (220, 120); // 0.1 m a pixel, 1 m of border
+    let shade = |i: i32, j: i32| {
+        let (x, y) = (f64::from(i) * 0.1, f64::from(j) * 0.1);
+        let in_block = (3.0..19.0).contains(&x) && (3.0..9.0).contains(&y);
+        let in_room = (8.0..12.0).contains(&x) && (5.0..7.0).contains(&y);
+        let is_free = (1.0..21.0).contains(&x) && (1.0..11.0).contains(&y) && !in_block;
+        if is_free || in_room { 254 } else { 0 }
+    };
+    let pixels = (0..n_y).flat_map(|j| (0..n_x).map(move |i| shade(i, j)));
+    let yaml = folder.path().join("map.yaml");
+    let text = "image: map.pgm\nresolution: 0.1\norigin: [-3.0, 2.0, 0.0]\nnegate: 0\n\
+                occupied_thresh: 0.65\nfree_thresh: 0.196\n";
+    std::fs::write(&yaml, text).unwrap();
+    let header = |magic: &str| format!("{magic}\n# a ring\n{n_x} {n_y}\n255\n");
+    let plain: Vec<String> = pixels.clone().map(|shade| shade.to_string()).collect();
+    std::fs::write(folder.path().join("map.pgm"), header("P2") + &plain.join(" ")).unwrap();
+    let options = Options { length_m: 120.0, map: Some("map.yaml".to_owned()), ..quiet() };
+    let bytes = || {
+        let map = Map::load(&yaml).unwrap();
+        let campus = Campus::on_map(&options, 5, map).unwrap();
+        for log in 0..2 {
+            let drive = campus.drive(log);
+            for k in 0..2000 {
+                let pose = drive.pose_at(drive.start_ns() + k * 30_000_000);
+                // In the frame of the image's lower left corner.
+                let (x, y) = (pose.x_m + 3.0, pose.y_m - 2.0);
+                let outer_m = (x - 1.0).min(21.0 - x).min(y - 1.0).min(11.0 - y);
+                let inner_m = (3.0 - x).max(x - 19.0).max(3.0 - y).max(y - 9.0);
+                assert!(0.3 < outer_m && 0.3 < inner_m, "{x} {y}");
+            }
+        }
+        write(&campus, 0).0
+    };
+    let written = bytes();
+    std::fs::write(
+        folder.path().join("map.pgm"),
+        [header("P5").into_bytes(), pixels.map(|shade| shade as u8).collect()].concat(),
+    )
+    .unwrap();
+    assert!(bytes() == written, "plain and raw images differ");
+    // Within the ring no wall is farther than its diagonal of 22.4 m, and every level beam meets one;
+    // some see it too slanted to return, and some lean down to the floor.
+    let log = read(&written);
+    let ranges = packets(&log).flat_map(|(_, p)| (0..12).map(move |b| p.distance(b, 15)));
+    let (n, n_off) = ranges.fold((0, 0), |(n, n_off), counts| {
+        (n + 1, n_off + usize::from(counts == 0 || 11_200 < counts))
+    });
+    assert!(20 * n_off < n, "{n_off} of {n}");
+
+    let error = |text: &str| {
+        std::fs::write(&yaml, text).unwrap();
+        Map::load(&yaml).unwrap_err().to_string()
+    };
+    assert!(error("resolution: 0.1\n").contains("map.yaml: `image` is missing"));
+    assert!(
+        error(&text.replace("0.1\n", "x\n")).contains("`resolution` is `x`, expected a number")
+    );
+    assert!(
+        error(&text.replace(", 0.0]", ", 1.0]")).contains("the yaw of `origin` is 1, expected 0")
+    );
+    assert!(error(&text.replace("map.pgm", "none.pgm")).contains("none.pgm: cannot be read"));
+    std::fs::write(folder.path().join("map.pgm"), header("P5")).unwrap();
+    assert!(error(text).contains("map.pgm: holds 0 pixels, expected 26400"));
+    std::fs::write(folder.path().join("map.pgm"), "P6").unwrap();
+    assert!(error(text).contains("is no PGM image"));
 }

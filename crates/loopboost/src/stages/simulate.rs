@@ -5,7 +5,7 @@ use std::sync::Arc;
 use anyhow::{Context, Result, anyhow};
 use dataset::Dropped;
 use dataset::tables::{TableError, write_atomically};
-use simulate::Campus;
+use simulate::{Campus, Map};
 
 use crate::run::{Done, Run, Task, progress_bar};
 
@@ -14,10 +14,21 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let options = run.config.simulate.as_ref().ok_or_else(|| {
         anyhow!("the pipeline has no [simulate] section: add one, or start with `ingest`")
     })?;
-    let campus = Campus::new(options, run.config.seed).context("[simulate]")?;
+    let seed = run.config.seed;
+    let (campus, inputs) = match &options.map {
+        None => (Campus::new(options, seed), Vec::new()),
+        Some(map) => {
+            let yaml = run.config.beside_pipeline(map);
+            let files = Map::files(&yaml).context("[simulate] map")?;
+            let map = Map::load(&yaml).context("[simulate] map")?;
+            (Campus::on_map(options, seed, map), files.to_vec())
+        }
+    };
+    let campus = campus.context("[simulate]")?;
     let progress = progress_bar(options.logs.len() as u64, "simulate".into(), false);
     for (k, name) in options.logs.iter().enumerate() {
-        let task = Task { stage: "simulate", log: Some(Arc::from(name.as_str())), inputs: vec![] };
+        let task =
+            Task { stage: "simulate", log: Some(Arc::from(name.as_str())), inputs: inputs.clone() };
         run.task(&task, |_| drive(run, &campus, k, name))?;
         progress.inc(1);
     }
@@ -26,21 +37,31 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
 }
 
 fn drive(run: &Run, campus: &Campus, k: usize, name: &str) -> Result<Done> {
-    let path = run.simulated_log(name);
-    let summary = write_atomically(&path, |mut out: BufWriter<File>| {
-        let summary =
-            simulate::write_drive(campus, k, &mut out).map_err(|e| WriteLog::Simulate(e.into()))?;
-        Ok::<_, WriteLog>((out, summary))
-    })
-    .map_err(|e| match e {
-        WriteLog::Simulate(e) => e.context(format!("cannot simulate {}", path.display())),
-        WriteLog::Table(e) => e.into(),
-    })?;
+    let paths = run.simulated_log(name);
+    let (mut turns, mut packets, mut length_m, mut duration_s) = (0, 0, 0.0, 0.0);
+    for (file, path) in paths.iter().enumerate() {
+        let summary = write_atomically(path, |mut out: BufWriter<File>| {
+            let summary = simulate::write_drive(campus, k, file as u32, &mut out)
+                .map_err(|e| WriteLog::Simulate(e.into()))?;
+            Ok::<_, WriteLog>((out, summary))
+        })
+        .map_err(|e| match e {
+            WriteLog::Simulate(e) => e.context(format!("cannot simulate {}", path.display())),
+            WriteLog::Table(e) => e.into(),
+        })?;
+        turns += summary.turns;
+        packets += summary.packets;
+        length_m += summary.length_m;
+        duration_s += summary.duration_s;
+    }
+    let files = match paths.len() {
+        1 => String::new(),
+        n => format!(" in {n} files"),
+    };
     let said = format!(
-        "{name}: {:.0} m in {:.0} s, {} turns, {} packets",
-        summary.length_m, summary.duration_s, summary.turns, summary.packets
+        "{name}: {length_m:.0} m in {duration_s:.0} s, {turns} turns, {packets} packets{files}"
     );
-    Ok(Done { outputs: vec![path], said: vec![said], ..Done::default() })
+    Ok(Done { outputs: paths, said: vec![said], ..Done::default() })
 }
 
 /// What can go wrong while a log is written.

@@ -1,0 +1,123 @@
+"""Checks a simulated log with the `mcap` and `mcap-ros2-support` packages (PyPI), and prints what
+its ring looks like, beside that of other logs.
+
+usage: simulation.py LOG.mcap [OTHER.mcap ...]
+
+Of the first log: every chunk's CRC, the indexes, the statistics, the order of messages and schemas;
+every message is decoded. Of each log the statistics of laser 15 (ROS 2 encoding).
+"""
+
+import collections
+import struct
+import sys
+
+import mcap.reader
+import mcap.records
+import mcap.stream_reader
+import numpy as np
+from mcap_ros2.decoder import DecoderFactory
+
+METRES_PER_COUNT = 0.002
+
+
+def check(path):
+    """Reads a log front to back and through its indexes, and holds both against its statistics."""
+    found = collections.Counter()
+    with open(path, "rb") as log:
+        last = 0
+        for record in mcap.stream_reader.StreamReader(log, validate_crcs=True).records:
+            if isinstance(record, mcap.records.Message):
+                found[record.channel_id] += 1
+                assert last <= record.log_time, "messages are out of order"
+                last = record.log_time
+    with open(path, "rb") as log:
+        reader = mcap.reader.make_reader(log, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        summary = reader.get_summary()
+        statistics = summary.statistics
+        assert statistics.message_count == sum(found.values())
+        assert dict(statistics.channel_message_counts) == dict(found)
+        assert statistics.chunk_count == len(summary.chunk_indexes)
+        assert statistics.message_end_time == last
+        for index in summary.chunk_indexes:
+            assert index.message_index_offsets, "a chunk has no message index"
+        topics = {channel.topic for channel in summary.channels.values()}
+        frames, n = set(), 0
+        for schema, channel, _, decoded in reader.iter_decoded_messages():
+            assert schema.encoding == "ros2msg" and channel.message_encoding == "cdr"
+            n += 1
+            if channel.topic.startswith("/tf"):
+                frames |= {(t.header.frame_id, t.child_frame_id) for t in decoded.transforms}
+        assert n == statistics.message_count
+    assert topics == {"/velodyne_packets", "/ground_truth", "/imu/data", "/wheel_states", "/tf", "/tf_static"}
+    assert frames == {("map", "odom"), ("odom", "base_link"), ("base_link", "velodyne")}
+    print(f"{path}: {n} messages in {statistics.chunk_count} chunks, no fault")
+
+
+def packets(path):
+    """Stamp [ns] and bytes of each packet of a CDR VelodyneScan log, of 20 000 at most."""
+    n = 0
+    with open(path, "rb") as log:
+        reader = mcap.reader.make_reader(log)
+        for _, _, message in reader.iter_messages(topics=["/velodyne_packets"]):
+            data = message.data
+            (frame_id,) = struct.unpack_from("<I", data, 12)
+            at = 4 + (12 + frame_id + 3) // 4 * 4
+            (count,) = struct.unpack_from("<I", data, at)
+            for k in range(count):
+                start = at + 4 + k * 1216
+                sec, nanosec = struct.unpack_from("<iI", data, start)
+                yield sec * 1_000_000_000 + nanosec, data[start + 8 : start + 8 + 1206]
+            n += count
+            if 20_000 < n:
+                return
+
+
+def statistics(path):
+    """What a ring looks like, in words and numbers."""
+    stamps, payloads = zip(*packets(path))
+    blocks = np.concatenate([np.frombuffer(p[:1200], np.uint8).reshape(12, 100) for p in payloads])
+    azimuth = blocks[:, 2].astype(int) + 256 * blocks[:, 3].astype(int)
+    lows, highs = blocks[:, 4::3].astype(int), blocks[:, 5::3].astype(int)
+    counts = (lows + 256 * highs)[:, :32]
+    clock = np.array([struct.unpack_from("<I", p, 1200)[0] for p in payloads])
+    steps = np.diff(azimuth) % 36_000
+    mean_step = np.median(steps)
+    range_m = counts[:, 15] * METRES_PER_COUNT
+    angle = np.deg2rad(azimuth / 100)
+    # A straight wall is 1/r = a cos + b sin; of every window of 15 returns the deviation from it.
+    deviations = []
+    for k in range(0, len(range_m) - 15, 5):
+        r, t = range_m[k : k + 15], angle[k : k + 15]
+        if (r <= 0).any():
+            continue
+        design = np.c_[np.cos(t), np.sin(t)]
+        fit, *_ = np.linalg.lstsq(design, 1 / r, rcond=None)
+        deviations.append((r - 1 / (design @ fit)).std(ddof=2))
+    both = (range_m[:-1] > 0) & (range_m[1:] > 0)
+    points = np.c_[range_m * np.cos(angle), range_m * np.sin(angle)]
+    spacing = np.linalg.norm(np.diff(points, axis=0), axis=1)[both] / range_m[:-1][both]
+    host_us = np.median(np.diff(stamps)) / 1000
+    return [
+        ("returns of laser 15", f"{(range_m > 0).mean():.3f}"),
+        ("returns of the lasers that have any", f"{(counts > 0)[:, (counts > 0).any(0)].mean():.3f}"),
+        ("noise on a flat wall [mm], quartile and median",
+         f"{1000 * np.quantile(deviations, 0.25):.1f}, {1000 * np.median(deviations):.1f}"),
+        ("point spacing / range [mrad], quartile and median",
+         f"{1000 * np.quantile(spacing, 0.25):.2f}, {1000 * np.median(spacing):.2f}"),
+        ("azimuth step [0.01 deg], median", f"{mean_step:.0f}"),
+        ("steps one less, equal, one more [%]",
+         ", ".join(f"{100 * (steps == mean_step + d).mean():.0f}" for d in (-1, 0, 1))),
+        ("packet period [us], host and device",
+         f"{host_us:.2f}, {np.mean(np.diff(clock) % 3_600_000_000):.2f}"),
+    ]
+
+
+def main():
+    check(sys.argv[1])
+    tables = [statistics(path) for path in sys.argv[1:]]
+    for rows in zip(*tables):
+        print(f"{rows[0][0]:<52}" + "".join(f"{value:>18}" for _, value in rows))
+
+
+if __name__ == "__main__":
+    main()

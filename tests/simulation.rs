@@ -1,0 +1,82 @@
+//! Simulated logs as other programs see them.
+
+use std::process::Command;
+
+use crate::support::{Workplace, loopboost, python_with, root, shared_data};
+
+const CAMPUS: &str = r#"
+seed = 7
+[simulate]
+logs = ["one", "two"]
+buildings = 3
+lasers = "all"
+length_m = 10.0
+people = 3
+[ingest]
+site = "campus"
+pose.topic = "/ground_truth"
+"#;
+
+/// `mcap` (PyPI) finds no fault and decodes every message, whatever the compression.
+#[test]
+fn the_mcap_package_finds_no_fault() {
+    let workplace = Workplace::new(CAMPUS);
+    let Some(python) = python_with("mcap, mcap_ros2, numpy") else { return };
+    for compression in ["zstd", "lz4", "none"] {
+        let set = format!("simulate.compression={compression}");
+        workplace.command("simulate", compression, &["--set", &set]).expect(0);
+        let script = root().join("tests/peers/simulation.py");
+        let mut command = Command::new(&python);
+        command.arg(script).arg(workplace.path(&format!("{compression}/logs/one.mcap")));
+        if let Some(data) = shared_data() {
+            command.arg(data.join("logs/hdl32e-street.ros2.mcap"));
+        }
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        println!("{}", String::from_utf8_lossy(&output.stdout));
+    }
+}
+
+/// The files of a split log are one drive to every stage, and hold the same scans.
+#[test]
+fn split_logs_are_read_as_one() {
+    let workplace = Workplace::new(CAMPUS);
+    let files = ["--set", "simulate.files=3"];
+    workplace.command("simulate", "split", &files).expect(0);
+    let finished = workplace.command("ingest", "split", &files).expect(0);
+    assert!(finished.stdout.contains("from 3 files"), "{}", finished.stdout);
+    workplace.command("simulate", "whole", &[]).expect(0);
+    workplace.command("ingest", "whole", &[]).expect(0);
+    let scans = |out: &str, log: &str| {
+        let path = workplace.path(&format!("{out}/scans/{log}.parquet"));
+        dataset::tables::scans::read_scan_headers(&path).unwrap().0
+    };
+    assert!(50 < scans("split", "one").len() + scans("split", "two").len());
+    for log in ["one", "two"] {
+        assert_eq!(scans("split", log), scans("whole", log));
+    }
+}
+
+/// `inspect` names every topic and misses nothing.
+#[test]
+fn inspect_finds_every_topic() {
+    let workplace = Workplace::new(CAMPUS);
+    for encoding in ["ros2", "ros1"] {
+        let set = format!("simulate.encoding={encoding}");
+        workplace.command("simulate", encoding, &["--set", &set]).expect(0);
+        let log = workplace.path(&format!("{encoding}/logs/two.mcap"));
+        let told = loopboost(&["inspect", log.to_str().unwrap()]).expect(0).stdout;
+        for says in [
+            "/velodyne_packets",
+            "Velodyne HDL-32E",
+            "0 missing",
+            "/ground_truth",
+            "/imu/data",
+            "/wheel_states",
+            "/tf",
+            "/tf_static",
+        ] {
+            assert!(told.contains(says), "`{says}` is not in:\n{told}");
+        }
+    }
+}
