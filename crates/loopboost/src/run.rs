@@ -131,7 +131,11 @@ impl Run {
         }
         let simulated = self.config.simulate.iter().flat_map(|s| &s.logs);
         let mut logs: Vec<LogFile> = simulated
-            .map(|name| LogFile { name: name.as_str().into(), paths: self.simulated_log(name) })
+            .map(|name| LogFile {
+                name: name.as_str().into(),
+                paths: self.simulated_log(name),
+                missing: Vec::new(),
+            })
             .collect();
         logs.extend(self.config.log_files()?);
         if logs.is_empty() {
