@@ -155,7 +155,7 @@ impl Default for Options {
 #[serde(rename_all = "lowercase")]
 pub enum Lasers {
     /// The horizontal one, 15, and its neighbours in firing order, 14 and 16, which look down:
-    /// what planar scans need, in a tenth of the bytes.
+    /// what planar scans need, in a sixth of the bytes.
     #[default]
     Three,
     /// All 32.
