@@ -15,8 +15,9 @@ use crate::turns::Between;
 /// messages of a turn each may have changed places, at 5 turns a second. Beyond, the device clock
 /// was set back.
 const LATE_US: f64 = 500e3;
-/// Packets held back: [`LATE_US`] of them, in dual-return mode, which has twice as many.
-const HELD: usize = 2048;
+/// Packets held back: about [`LATE_US`] of them, or half of that in dual-return mode, which has twice
+/// as many.
+const HELD: usize = 1024;
 /// A late packet has its place where the neighbours leave it at least this share of a packet's
 /// time.
 const ROOM: f64 = 0.5;

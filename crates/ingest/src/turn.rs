@@ -73,17 +73,23 @@ pub(crate) struct ScanMaker {
     side: f64,
     /// Cosine of the beam's elevation: a range's share in the plane.
     horizontal: f64,
-    /// Cosine and sine of each whole count of azimuth.
+    /// Cosine and sine of every tenth of a degree.
     directions: &'static [[f64; 2]],
 }
 
+/// Counts of azimuth from one entry of the table to the next: so few entries stay in the nearest
+/// cache.
+const COUNTS_PER_ENTRY: u32 = 10;
+const FINE_PER_ENTRY: u32 = FINE_PER_COUNT * COUNTS_PER_ENTRY;
+
 /// The same for every log.
 static DIRECTIONS: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
-    let direction = |count| {
-        let (sin, cos) = libm::sincos(f64::from(count) * TAU / f64::from(AZIMUTH_COUNTS));
+    let n_entries = u32::from(AZIMUTH_COUNTS) / COUNTS_PER_ENTRY;
+    let direction = |entry| {
+        let (sin, cos) = libm::sincos(f64::from(entry) * TAU / f64::from(n_entries));
         [cos, sin]
     };
-    (0..AZIMUTH_COUNTS).map(direction).collect()
+    (0..n_entries).map(direction).collect()
 });
 
 impl ScanMaker {
@@ -123,13 +129,15 @@ impl ScanMaker {
         scan
     }
 
-    /// Cosine and sine of an azimuth: those of the whole count, turned on by the rest d, which is
-    /// less than 1.8e-4 rad, so that cos d = 1 - d^2/2 and sin d = d - d^3/6 are exact in f64.
+    /// Cosine and sine of an azimuth: those of the table's entry before it, turned on by the rest d,
+    /// which is less than 1.8e-3 rad, so that their series to d^4 and d^5 are exact in f64.
     #[inline]
     fn direction(&self, fine_azimuth: u32) -> [f64; 2] {
-        let [cos, sin] = self.directions[(fine_azimuth / FINE_PER_COUNT) as usize];
-        let d = f64::from(fine_azimuth % FINE_PER_COUNT) * (TAU / f64::from(FINE_TURN));
-        let (cos_d, sin_d) = (1.0 - 0.5 * d * d, d - d * d * d / 6.0);
+        let [cos, sin] = self.directions[(fine_azimuth / FINE_PER_ENTRY) as usize];
+        let d = f64::from(fine_azimuth % FINE_PER_ENTRY) * (TAU / f64::from(FINE_TURN));
+        let d2 = d * d;
+        let cos_d = 1.0 - d2 * (0.5 - d2 / 24.0);
+        let sin_d = d * (1.0 - d2 * (1.0 / 6.0 - d2 / 120.0));
         [cos * cos_d - sin * sin_d, sin * cos_d + cos * sin_d]
     }
 }
@@ -167,7 +175,7 @@ mod tests {
     #[test]
     fn directions_are_exact_between_the_counts() {
         let maker = maker(&LidarOptions::default());
-        for fine in (0..FINE_TURN).step_by(997) {
+        for fine in (0..FINE_TURN).step_by(97) {
             let angle = f64::from(fine) * TAU / f64::from(FINE_TURN);
             let [cos, sin] = maker.direction(fine);
             // The angle itself is rounded to 9e-16.
