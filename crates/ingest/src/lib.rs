@@ -15,6 +15,7 @@
 //! The result depends on the logs' bytes and the options alone: pieces are decoded in parallel but
 //! joined in the order of the file.
 
+mod between;
 mod chunk;
 mod clock;
 mod cloud;

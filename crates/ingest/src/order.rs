@@ -8,8 +8,8 @@ use std::collections::VecDeque;
 use dataset::Dropped;
 use messages::hdl32e::HOUR_US;
 
+use crate::between::Between;
 use crate::ring::RingPacket;
-use crate::turns::Between;
 
 /// A packet can come so much later than those fired after it and still find its place \[us\]: two
 /// messages of a turn each may have changed places, at 5 turns a second. Beyond, the device clock
