@@ -21,7 +21,9 @@ pose.topic = "/ground_truth"
 #[test]
 fn the_mcap_package_finds_no_fault() {
     let workplace = Workplace::new(CAMPUS);
-    let Some(python) = python_with("mcap, mcap_ros2, numpy") else { return };
+    let Some(python) = python_with("mcap, mcap_ros2, numpy, pyarrow, velodyne_decoder") else {
+        return;
+    };
     for compression in ["zstd", "lz4", "none"] {
         let set = format!("simulate.compression={compression}");
         workplace.command("simulate", compression, &["--set", &set]).expect(0);

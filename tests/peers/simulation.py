@@ -8,6 +8,7 @@ every message is decoded. Of each log the statistics of laser 15 (ROS 2 encoding
 """
 
 import collections
+import itertools
 import struct
 import sys
 
@@ -16,6 +17,8 @@ import mcap.records
 import mcap.stream_reader
 import numpy as np
 from mcap_ros2.decoder import DecoderFactory
+
+from street import packets
 
 METRES_PER_COUNT = 0.002
 
@@ -53,28 +56,9 @@ def check(path):
     print(f"{path}: {n} messages in {statistics.chunk_count} chunks, no fault")
 
 
-def packets(path):
-    """Stamp [ns] and bytes of each packet of a CDR VelodyneScan log, of 20 000 at most."""
-    n = 0
-    with open(path, "rb") as log:
-        reader = mcap.reader.make_reader(log)
-        for _, _, message in reader.iter_messages(topics=["/velodyne_packets"]):
-            data = message.data
-            (frame_id,) = struct.unpack_from("<I", data, 12)
-            at = 4 + (12 + frame_id + 3) // 4 * 4
-            (count,) = struct.unpack_from("<I", data, at)
-            for k in range(count):
-                start = at + 4 + k * 1216
-                sec, nanosec = struct.unpack_from("<iI", data, start)
-                yield sec * 1_000_000_000 + nanosec, data[start + 8 : start + 8 + 1206]
-            n += count
-            if 20_000 < n:
-                return
-
-
 def statistics(path):
     """What a ring looks like, in words and numbers."""
-    stamps, payloads = zip(*packets(path))
+    stamps, payloads = zip(*itertools.islice(packets(path), 20_000))
     blocks = np.concatenate([np.frombuffer(p[:1200], np.uint8).reshape(12, 100) for p in payloads])
     azimuth = blocks[:, 2].astype(int) + 256 * blocks[:, 3].astype(int)
     lows, highs = blocks[:, 4::3].astype(int), blocks[:, 5::3].astype(int)

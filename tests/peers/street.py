@@ -20,7 +20,8 @@ RANGE_MIN_M, RANGE_MAX_M = 0.9, 70.0  # the defaults of [ingest.lidar]
 def packets(path):
     """Stamp [ns] and bytes of each packet of a CDR VelodyneScan log."""
     with open(path, "rb") as log:
-        for _, channel, message in mcap.reader.make_reader(log).iter_messages():
+        reader = mcap.reader.make_reader(log)
+        for _, _, message in reader.iter_messages(topics=["/velodyne_packets"]):
             data = message.data
             (frame_id,) = struct.unpack_from("<I", data, 12)
             at = 4 + (12 + frame_id + 3) // 4 * 4

@@ -104,7 +104,8 @@ impl Between {
         (-MAX_JITTER..=most).contains(&f64::from(self.step))
     }
 
-    /// Whether azimuth and stamps go on: whatever the device clock says, it has jumped.
+    /// Whether azimuth and stamps go on and the device clock does not: it has jumped. One that stands
+    /// still has not.
     pub(crate) fn clock_jumped(&self) -> bool {
         let on_time = (0.0..1.5 * self.period_us).contains(&self.device_us);
         !on_time && self.goes_on() && (0.0..STAMPS_ON_TIME_US).contains(&self.stamps_us)
@@ -119,7 +120,7 @@ impl Between {
     /// How the later packet lies to the earlier one. `late_us` is how much later than due the stamp
     /// is, for a device clock that stands still.
     pub(crate) fn link(&self, late_us: f64) -> Link {
-        if self.clock_jumped() && self.device_us != 0.0 {
+        if self.clock_jumped() {
             return Link::Next(self.step_ahead());
         }
         if self.device_us < 0.0 {

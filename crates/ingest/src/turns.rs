@@ -82,7 +82,7 @@ impl TurnCutter {
         }
         let between = Between::new(&pending, packet);
         self.ends.n_same_stamp += u64::from(between.stamps_us == 0.0 && between.device_us != 0.0);
-        self.ends.n_clock_jumps += u64::from(between.clock_jumped() && between.device_us != 0.0);
+        self.ends.n_clock_jumps += u64::from(between.clock_jumped());
         let late_us = (packet.end_ns - due_ns.min(packet.end_ns)) as f64 / 1000.0;
         match between.link(late_us) {
             Link::Next(step) => self.add(&pending, step, turns),
