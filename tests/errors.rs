@@ -36,6 +36,7 @@ fn log(n: i64) -> Vec<u8> {
             stamp_ns,
             angle_min: -1.5,
             angle_increment: 0.03,
+            time_increment_s: 0.0,
             range_min: 0.1,
             range_max: 50.0,
             ranges: (0..100).map(|beam| 2.0 + ((k * 7 + beam * beam) % 13) as f32).collect(),

@@ -61,6 +61,7 @@ pub fn laser_scan(stamp_ns: i64) -> LaserScan {
         stamp_ns,
         angle_min: -1.5,
         angle_increment: 0.5,
+        time_increment_s: 0.0,
         range_min: 0.1,
         range_max: 50.0,
         ranges: (0..7u8).map(|beam| 1.0 + f32::from(beam)).collect(),

@@ -8,6 +8,7 @@ use std::f64::consts::{PI, TAU};
 use dataset::{FULL_RING_DEG, Scan};
 use messages::{Column, MessageError, PointCloud, Source, read_point_cloud};
 
+use crate::deskew::TimedScan;
 use crate::options::LidarOptions;
 
 /// A ring is found by elevation where its beam is no farther from it than this \[deg\]: half a step
@@ -178,7 +179,7 @@ impl Rings {
 
 /// A scan, and what was wrong with its cloud.
 pub(crate) struct FromCloud {
-    pub(crate) scan: Scan,
+    pub(crate) scan: TimedScan,
     /// The points were in no order, and were sorted.
     pub(crate) is_sorted: bool,
     /// Returns beyond one turn, which are left out.
@@ -200,17 +201,17 @@ pub(crate) fn scan(
     let of_ring: Vec<usize> =
         (0..fields.ring.len()).filter(|&k| fields.ring.get(k) == ring).collect();
     // Before any choice by range: what was swept does not depend on it.
-    let mut points: Vec<(f64, [f64; 3])> = of_ring
+    let mut points: Vec<(f64, [f64; 3], usize)> = of_ring
         .iter()
-        .filter_map(|&k| fields.point(k))
-        .map(|point| (libm::atan2(point[1], point[0]), point))
+        .filter_map(|&k| Some((fields.point(k)?, k)))
+        .map(|(point, k)| (libm::atan2(point[1], point[0]), point, k))
         .collect();
-    let mut sweep = Sweep::of(&points.iter().map(|(azimuth, _)| *azimuth));
+    let mut sweep = Sweep::of(&points.iter().map(|(azimuth, ..)| *azimuth));
     let is_sorted = !sweep.is_ordered;
     if is_sorted {
         // Clockwise from straight ahead, as the sensor turns.
         points.sort_by(|a, b| (-a.0).rem_euclid(TAU).total_cmp(&(-b.0).rem_euclid(TAU)));
-        sweep = Sweep::of(&points.iter().map(|(azimuth, _)| *azimuth));
+        sweep = Sweep::of(&points.iter().map(|(azimuth, ..)| *azimuth));
     }
     let mut swept = sweep.reached_rad.last().copied().unwrap_or(0.0);
     if swept.to_degrees() < f64::from(FULL_RING_DEG) {
@@ -227,21 +228,25 @@ pub(crate) fn scan(
     // Compared as f32, which clouds are made of, so that a point at a limit is within it.
     let limits = options.range_min_m as f32..=options.range_max_m as f32;
     let side = if options.upside_down { -1.0 } else { 1.0 };
-    let kept = points.iter().filter(|(_, [_, _, range])| limits.contains(&(*range as f32)));
-    let (x_m, y_m) = kept.map(|(_, [x, y, _])| (*x as f32, (side * y) as f32)).unzip();
+    points.retain(|(_, [_, _, range], _)| limits.contains(&(*range as f32)));
+    let (x_m, y_m) = points.iter().map(|(_, [x, y, _], _)| (*x as f32, (side * y) as f32)).unzip();
     let stamp_ns = match of_ring.first() {
         Some(&k) => fields.stamp_ns(cloud.stamp_ns, k),
         None => Some(cloud.stamp_ns),
     };
-    let scan = Scan {
-        stamp_ns: stamp_ns.unwrap_or(cloud.stamp_ns),
-        x_m,
-        y_m,
-        coverage_deg: swept.to_degrees() as f32,
-        hole_deg: 0.0,
+    let is_of_other_clock = stamp_ns.is_none();
+    let stamp_ns = stamp_ns.unwrap_or(cloud.stamp_ns);
+    let times_ns = match fields.time.is_some() && !is_of_other_clock {
+        true => points
+            .iter()
+            .map(|&(_, _, k)| fields.stamp_ns(cloud.stamp_ns, k).map(|ns| ns - stamp_ns))
+            .collect::<Option<_>>(),
+        false => None,
     };
+    let scan = Scan { stamp_ns, x_m, y_m, coverage_deg: swept.to_degrees() as f32, hole_deg: 0.0 };
     let n_beyond = n_beyond as u64;
-    Ok(FromCloud { scan, is_sorted, n_beyond, is_of_other_clock: stamp_ns.is_none() })
+    let scan = TimedScan { scan, times_ns: times_ns.unwrap_or_default() };
+    Ok(FromCloud { scan, is_sorted, n_beyond, is_of_other_clock })
 }
 
 /// The widest sweep of any ring whose points are in order.

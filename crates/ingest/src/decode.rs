@@ -1,10 +1,11 @@
 //! One piece of a log -> the packets, scans and poses in it.
 
-use dataset::{Dropped, Scan};
+use dataset::Dropped;
 use messages::{MessageType, Source};
 
 use crate::chunk::{self, Buffer};
 use crate::cloud::{self, Rings};
+use crate::deskew::TimedScan;
 use crate::error::IngestError;
 use crate::motion::Motion;
 use crate::options::{LidarOptions, Options};
@@ -82,13 +83,21 @@ pub(crate) struct Reader<'a> {
     pub(crate) options: &'a Options,
 }
 
+/// What is read of a piece.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Part {
+    Lidar,
+    Motion,
+    Both,
+}
+
 /// What one piece of the log holds.
 #[derive(Default)]
 pub(crate) struct Decoded {
     /// Number of the file it is of.
     pub(crate) file: usize,
     pub(crate) packets: Packets,
-    pub(crate) scans: Vec<Scan>,
+    pub(crate) scans: Vec<TimedScan>,
     pub(crate) n_sorted_clouds: u64,
     pub(crate) n_clouds_of_other_clock: u64,
     pub(crate) motion: Motion,
@@ -100,12 +109,14 @@ pub(crate) struct Decoded {
 }
 
 impl Reader<'_> {
-    pub(crate) fn decode(&self, from: &FilePiece<'_>, buffer: &mut Buffer) -> Decoded {
+    pub(crate) fn decode(&self, from: &FilePiece<'_>, part: Part, buffer: &mut Buffer) -> Decoded {
         let FilePiece { file, log, piece, .. } = *from;
         let mut decoded = Decoded { file, ..Decoded::default() };
         let lost = chunk::messages(log.bytes(), piece, buffer, |header, data| {
             let channel = header.channel_id;
-            if let Some(source) = self.lidar.source(file, channel) {
+            if let Some(source) = self.lidar.source(file, channel)
+                && part != Part::Motion
+            {
                 decoded.n_messages += 1;
                 if let Err(error) = self.decode_lidar(source, data, &mut decoded) {
                     let (topic, kind) = (&self.lidar.name, source.message_type.name());
@@ -115,17 +126,22 @@ impl Reader<'_> {
                     decoded.dropped.add(reason, 1);
                 }
             }
-            let Some(options) = &self.options.pose else { return };
+            let Some(options) = self.options.pose.as_ref().filter(|_| part != Part::Lidar) else {
+                return;
+            };
             for topic in self.of_pose {
                 let Some(source) = topic.source(file, channel) else { continue };
                 decoded.n_messages += 1;
-                if let Err(reason) = decoded.motion.add(source, data, options) {
+                if let Err(reason) = decoded.motion.add(&topic.name, source, data, options) {
                     decoded.dropped.add(format!("messages of {} {reason}", topic.name), 1);
                 }
             }
         });
         decoded.is_damaged = !lost.is_empty();
-        decoded.dropped.merge(lost);
+        // A piece that is read for its lidar too is counted then.
+        if part != Part::Motion || !self.lidar.may_be_in(from) {
+            decoded.dropped.merge(lost);
+        }
         decoded
     }
 

@@ -65,6 +65,22 @@ pub enum IngestError {
         /// What was dropped, or nothing.
         detail: String,
     },
+    /// No poses come of the transforms.
+    #[error(
+        "{path}: there are no poses of frame `{child}` in frame `{parent}`, since {why}; {found}: set `ingest.pose.frames` to two of them"
+    )]
+    NoFrames {
+        /// The log.
+        path: PathBuf,
+        /// The frame of the map.
+        parent: String,
+        /// The frame that should move.
+        child: String,
+        /// What is missing.
+        why: &'static str,
+        /// The frames there are.
+        found: String,
+    },
     /// No poses come of the wheels.
     #[error("{path}: no poses can be made of topic `{topic}`")]
     Fuse {

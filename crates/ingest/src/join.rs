@@ -3,20 +3,21 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use dataset::{Dropped, Scan, Trajectory};
+use dataset::{Dropped, Pose2, Scan, Trajectory};
 use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
 use crate::Ingested;
 use crate::decode::Decoded;
 use crate::error::IngestError;
-use crate::motion::{Motion, PoseTopics};
-use crate::options::{Clock, LidarOptions, PoseOptions};
+use crate::motion::{Motion, PoseTopics, PosesFrom};
+use crate::options::{Clock, Options};
 use crate::order::Sequencer;
 use crate::ring::RingPacket;
 use crate::sensor::{self, Laser, OtherSensor};
+use crate::straighten::{Raw, Released, Straightener};
 use crate::topic::Topic;
-use crate::turn::{ScanMaker, Turn};
+use crate::turn::ScanMaker;
 use crate::turns::{Ends, MARKED_HOLE_DEG, TurnCutter};
 
 /// Packets looked at to tell the sensor model.
@@ -32,7 +33,7 @@ const FOREIGN_PACKETS: u64 = 3;
 /// Puts together what the pieces hold.
 pub(crate) struct Joiner {
     laser: Laser,
-    options: LidarOptions,
+    options: Options,
     sequencer: Sequencer,
     cutter: TurnCutter,
     maker: ScanMaker,
@@ -44,6 +45,7 @@ pub(crate) struct Joiner {
     first_packets: Vec<RingPacket>,
     foreign: BTreeMap<&'static str, u64>,
     n_packets: u64,
+    straightener: Straightener,
     motion: Motion,
     /// Poses that are earlier than the one before in the log.
     n_poses_back: u64,
@@ -62,13 +64,14 @@ pub(crate) struct Joiner {
 
 impl Joiner {
     /// What has been dropped so far is given.
-    pub(crate) fn new(options: &LidarOptions, laser: Laser, dropped: Dropped) -> Self {
+    pub(crate) fn new(options: &Options, laser: Laser, dropped: Dropped) -> Self {
         Self {
             laser,
             options: options.clone(),
             sequencer: Sequencer::default(),
-            cutter: TurnCutter::new(options, laser),
-            maker: ScanMaker::new(options, laser),
+            cutter: TurnCutter::new(&options.lidar, laser),
+            maker: ScanMaker::new(&options.lidar, laser),
+            straightener: Straightener::new(options),
             file: 0,
             file_from_ns: i64::MIN,
             newest_ns: i64::MIN,
@@ -97,7 +100,7 @@ impl Joiner {
         take: &mut impl FnMut(Vec<Scan>) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut turns = Vec::new();
-        let mut scans = Vec::new();
+        let mut released = Vec::new();
         for piece in decoded {
             if self.file != piece.file {
                 self.file = piece.file;
@@ -122,25 +125,45 @@ impl Joiner {
             self.n_clouds_of_other_clock += piece.n_clouds_of_other_clock;
             self.n_messages += piece.n_messages;
             self.is_damaged |= piece.is_damaged;
-            scans.extend(piece.scans);
-            self.n_poses_back += self.motion.extend(piece.motion);
+            let of_turns = turns.drain(..).map(Raw::Turn);
+            piece
+                .scans
+                .into_iter()
+                .map(Raw::Scan)
+                .chain(of_turns)
+                .for_each(|raw| self.straightener.hold(raw));
+            self.follow(piece.motion);
+            self.straightener.release(false, &mut released);
             self.n_packets += piece.packets.packets.len() as u64;
             self.dropped.merge(piece.packets.dropped);
             self.dropped.merge(piece.dropped);
         }
-        self.scan(&turns, &mut scans);
-        take(scans)
+        take(self.scan(released))
     }
 
-    /// Turns -> scans, behind those there are.
-    fn scan(&mut self, turns: &[Turn], scans: &mut Vec<Scan>) {
-        scans.par_extend(turns.par_iter().map(|turn| self.maker.scan(turn)));
+    /// Adds what comes next of the robot's motion.
+    fn follow(&mut self, mut next: Motion) {
+        self.motion.add_frames(&mut next);
+        if let Some(options) = &self.options.pose {
+            self.motion.cut_down(options);
+        }
+        self.straightener.follow(&next, &self.motion);
+        self.n_poses_back += self.motion.extend(next);
+    }
+
+    fn scan(&mut self, released: Vec<Released>) -> Vec<Scan> {
+        for (raw, _) in &released {
+            if let Raw::Turn(turn) = raw {
+                self.n_firings += turn.firings.len() as u64;
+                self.n_returns += turn.firings.iter().filter(|f| f.distance != 0).count() as u64;
+            }
+        }
+        let maker = &self.maker;
+        let scans: Vec<Scan> =
+            released.into_par_iter().map(|(raw, smear)| raw.scan(maker, smear.as_ref())).collect();
         self.n_scans += scans.len();
         self.n_marked += scans.iter().filter(|scan| MARKED_HOLE_DEG < scan.hole_deg).count();
-        for turn in turns {
-            self.n_firings += turn.firings.len() as u64;
-            self.n_returns += turn.firings.iter().filter(|f| f.distance != 0).count() as u64;
-        }
+        scans
     }
 
     /// The sensor that the packets are of, where it is no HDL-32E.
@@ -167,15 +190,16 @@ impl Joiner {
         mut self,
         path: &Path,
         lidar: Topic,
-        pose: Option<(PoseTopics, &PoseOptions)>,
+        pose: Option<&PoseTopics>,
         mut take: impl FnMut(Vec<Scan>) -> Result<(), E>,
     ) -> Result<Ingested, E> {
         let mut turns = Vec::new();
         self.sequencer.flush(&mut |packet| self.cutter.push(packet, &mut turns));
         let ends = self.cutter.finish(&mut turns);
-        let mut scans = Vec::new();
-        self.scan(&turns, &mut scans);
-        take(scans)?;
+        turns.into_iter().for_each(|turn| self.straightener.hold(Raw::Turn(turn)));
+        let mut released = Vec::new();
+        self.straightener.release(true, &mut released);
+        take(self.scan(released))?;
         let mut of_packets = ends.dropped.clone();
         of_packets.merge(std::mem::take(&mut self.sequencer.dropped));
         let n_faults: u64 = of_packets.iter().map(|(_, n)| n).sum();
@@ -183,7 +207,7 @@ impl Joiner {
         self.dropped.merge(of_packets);
 
         let mut notes = lidar.notes.clone();
-        let pose_topics = pose.iter().flat_map(|(topics, _)| topics.all());
+        let pose_topics = pose.iter().flat_map(|topics| topics.all());
         notes.extend(pose_topics.flat_map(|topic| topic.notes.clone()));
         notes.extend(self.notes(&ends));
         if is_mixed {
@@ -191,14 +215,20 @@ impl Joiner {
         }
         self.check_scans(path, lidar.name, &ends, is_mixed)?;
         let dropped = &mut self.dropped;
-        let trajectory = match pose {
-            Some((topics, options)) => {
-                self.motion.trajectory(path, &topics, options, dropped, &mut notes)?
+        let is_own_frame = self.options.pose.as_ref().is_some_and(|pose| {
+            pose.is_own_frame() || (self.motion.has_fixes() && pose.origin.is_none())
+        });
+        let mount = self.options.lidar.mount.map_or(Pose2::default(), |mount| mount.pose());
+        let trajectory = match (pose, &self.options.pose) {
+            (Some(topics), Some(options)) => {
+                let from = PosesFrom { path, topics, options, mount };
+                self.motion.trajectory(&from, dropped, &mut notes)?
             }
-            None => Trajectory::default(),
+            _ => Trajectory::default(),
         };
         Ok(Ingested {
             trajectory,
+            is_own_frame,
             n_scans: self.n_scans,
             n_partial_turns: ends.n_partial,
             dropped: self.dropped,
@@ -209,7 +239,7 @@ impl Joiner {
     /// Whether the device clock stands still though it is to give the time.
     pub(crate) fn lacks_clock(&self) -> bool {
         let [first, .., last] = self.first_packets.as_slice() else { return false };
-        self.options.clock != Clock::Host
+        self.options.lidar.clock != Clock::Host
             && self.first_packets.len() == PACKETS_TO_IDENTIFY
             && self.first_packets.iter().all(|packet| packet.device_us == first.device_us)
             && first.azimuth != last.azimuth
@@ -253,7 +283,7 @@ impl Joiner {
     }
 
     fn notes(&self, ends: &Ends) -> Vec<String> {
-        let mut notes = Vec::new();
+        let mut notes: Vec<String> = self.straightener.told().into_iter().collect();
         if ends.n_partial > 0 {
             notes.push(format!("{} turns cut by the log's ends", ends.n_partial));
         }
@@ -280,7 +310,7 @@ impl Joiner {
                 self.n_poses_back
             ));
         }
-        if self.options.clock == Clock::Host && self.n_packets < 2 * ends.n_same_stamp {
+        if self.options.lidar.clock == Clock::Host && self.n_packets < 2 * ends.n_same_stamp {
             notes.push("packets of a message have one stamp, so that scans may be late by its time: set `ingest.lidar.clock` to \"device\"".to_owned());
         }
         if self.sequencer.n_late > 0 {

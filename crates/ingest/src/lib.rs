@@ -20,17 +20,24 @@ mod chunk;
 mod clock;
 mod cloud;
 mod decode;
+mod deskew;
 mod error;
+mod fixes;
+mod follow;
+mod frames;
 mod join;
 mod log;
 mod motion;
 mod options;
 mod order;
 mod planar;
+mod pose_options;
 mod poses;
+mod reckon;
 mod record;
 mod ring;
 mod sensor;
+mod straighten;
 mod survey;
 mod topic;
 mod turn;
@@ -43,14 +50,15 @@ pub use error::IngestError;
 pub use log::{Channel, Contents, Log};
 pub use messages::MessageType;
 pub use messages::hdl32e::HORIZONTAL_LASER;
-pub use options::{Clock, LidarOptions, OptionError, Options, PoseOptionError, PoseOptions, Start};
+pub use options::{Clock, LidarOptions, OptionError, Options};
+pub use pose_options::{Frames, Origin, PlanarPose, PoseOptionError, PoseOptions};
 pub use survey::{
     ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,
     TopicSurvey, survey,
 };
 
 use chunk::Buffer;
-use decode::{Beam, Decoded, Reader};
+use decode::{Beam, Decoded, Part, Reader};
 use join::Joiner;
 use motion::PoseTopics;
 use topic::{Drive, FilePiece, Topic};
@@ -60,6 +68,9 @@ use topic::{Drive, FilePiece, Topic};
 pub struct Ingested {
     /// The poses, in order of time.
     pub trajectory: Trajectory,
+    /// Whether they are in a map frame of this drive's own: where its wheels were first read, or
+    /// where its first satellite fix was.
+    pub is_own_frame: bool,
     /// Number of scans handed on.
     pub n_scans: usize,
     /// Turns at the two ends that lie only partly in the log; they are not counted as dropped,
@@ -81,12 +92,15 @@ pub const LIDAR_TYPES: [MessageType; 6] = [
     MessageType::FoxgloveLaserScan,
 ];
 /// The message types a pose can come from.
-pub const POSE_TYPES: [MessageType; 4] = [
+pub const POSE_TYPES: [MessageType; 5] = [
     MessageType::PoseStamped,
     MessageType::PoseWithCovarianceStamped,
     MessageType::Odometry,
     MessageType::FoxglovePoseInFrame,
+    MessageType::NavSatFix,
 ];
+/// The message types that transforms between frames can come from.
+pub const FRAME_TYPES: [MessageType; 2] = [MessageType::Tf, MessageType::FoxgloveFrameTransform];
 
 /// The message types that the speeds of the wheels can come from.
 pub const WHEEL_TYPES: [MessageType; 2] = [MessageType::JointState, MessageType::Odometry];
@@ -109,33 +123,31 @@ pub fn ingest<E: From<IngestError> + Send>(
     let drive = Drive::new(logs);
     let lidar = drive.topic(&options.lidar.topic, "ingest.lidar.topic", &LIDAR_TYPES)?;
     let pose = match &options.pose {
-        Some(pose) => Some((PoseTopics::find(&drive, pose)?, pose)),
+        Some(pose) => Some(PoseTopics::find(&drive, pose)?),
         None => None,
     };
     let beam = Beam::choose(&drive, &lidar, &options.lidar)?;
     let mut dropped = drive.dropped();
-    let of_pose: Vec<&Topic> = pose.iter().flat_map(|(topics, _)| topics.all()).collect();
+    let of_pose: Vec<&Topic> = pose.iter().flat_map(PoseTopics::all).collect();
     let topics: Vec<&Topic> = [&lidar].into_iter().chain(of_pose.iter().copied()).collect();
     topics.iter().for_each(|topic| dropped.merge(topic.unfit.clone()));
-    let pieces = drive.pieces_with(&topics);
-    let windows: Vec<&[FilePiece]> =
-        pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()).collect();
+    let windows = windows(&drive, &lidar, &of_pose);
     let reader = Reader { lidar: &lidar, of_pose: &of_pose, beam, options };
-    let decode_window = |window: &[FilePiece]| -> Vec<Decoded> {
+    let decode_window = |(part, window): &(Part, Vec<FilePiece<'_>>)| -> Vec<Decoded> {
         window
             .par_iter()
-            .map_init(Buffer::default, |buffer, piece| reader.decode(piece, buffer))
+            .map_init(Buffer::default, |buffer, piece| reader.decode(piece, *part, buffer))
             .collect()
     };
-    let mut joiner = Joiner::new(&options.lidar, beam.laser, dropped);
+    let mut joiner = Joiner::new(options, beam.laser, dropped);
     // The pieces of a window are decoded side by side, and joined in the order of the file while
     // the next window is being decoded.
-    let mut decoded = windows.first().map(|window| decode_window(window)).unwrap_or_default();
-    for (k, window) in windows.iter().enumerate() {
+    let mut decoded = windows.first().map(decode_window).unwrap_or_default();
+    for (k, (_, window)) in windows.iter().enumerate() {
         let next = windows.get(k + 1);
         let (joined, next_decoded) = rayon::join(
             || joiner.join(std::mem::take(&mut decoded), &mut take),
-            || next.map(|window| decode_window(window)).unwrap_or_default(),
+            || next.map(decode_window).unwrap_or_default(),
         );
         joined?;
         if let Some(other) = joiner.other_sensor() {
@@ -154,7 +166,31 @@ pub fn ingest<E: From<IngestError> + Send>(
         forget(window, &progress);
     }
     joiner.expect_messages(drive.n_messages(&topics));
-    joiner.finish(&drive.path(), lidar, pose, take)
+    joiner.finish(&drive.path(), lidar, pose.as_ref(), take)
+}
+
+/// The pieces to read, some at once, in order.
+///
+/// Scans wait for the poses around them, which most often lie beside them in the file. In a log that
+/// was written topic by topic they do not: there what tells of the motion is read before the lidar.
+fn windows<'a>(
+    drive: &'a Drive<'_>,
+    lidar: &Topic,
+    of_pose: &[&Topic],
+) -> Vec<(Part, Vec<FilePiece<'a>>)> {
+    let n_at_once = PIECES_PER_THREAD * rayon::current_num_threads();
+    let in_windows = |part, pieces: &[FilePiece<'a>]| -> Vec<_> {
+        pieces.chunks(n_at_once).map(|window| (part, window.to_vec())).collect()
+    };
+    let of_motion = drive.pieces_with(of_pose);
+    let n_shared = of_motion.iter().filter(|piece| lidar.may_be_in(piece)).count();
+    if of_motion.len() < 2 * n_shared + 1 {
+        let topics: Vec<&Topic> = [lidar].into_iter().chain(of_pose.iter().copied()).collect();
+        return in_windows(Part::Both, &drive.pieces_with(&topics));
+    }
+    let mut windows = in_windows(Part::Motion, &of_motion);
+    windows.extend(in_windows(Part::Lidar, &drive.pieces_with(&[lidar])));
+    windows
 }
 
 /// Tells that pieces have been read: their pages need not stay in memory.

@@ -1,26 +1,37 @@
-//! What a log says of the robot's motion -> its trajectory: poses as they are, or fused from wheels
-//! and IMU.
+//! What a log says of the robot's motion -> its trajectory: poses as they are, of transforms, of
+//! satellite fixes, or fused from wheels and IMU.
 
 use dataset::{Dropped, Pose2, StampedPose, Trajectory};
 use fuse::{Fused, ImuSample, WheelSample};
-use messages::{MessageType, Source, read_imu, read_joint_state, read_odometry};
+use messages::{
+    MessageType, NavSatFix, Source, read_imu, read_joint_state, read_nav_sat_fix, read_odometry,
+    read_transforms,
+};
 
+use crate::deskew::is_jump;
 use crate::error::IngestError;
-use crate::options::PoseOptions;
+use crate::fixes;
+use crate::frames::{FrameGraph, NoWay};
+use crate::pose_options::{Frames, PoseOptions};
 use crate::poses::{stamped_pose, yaw_rad};
 use crate::topic::{Drive, Topic};
-use crate::{IMU_TYPES, POSE_TYPES, WHEEL_TYPES};
+use crate::{FRAME_TYPES, IMU_TYPES, POSE_TYPES, WHEEL_TYPES};
 
 /// The topics that poses come from.
 pub(crate) enum PoseTopics {
     /// One that has them.
     Poses(Topic),
+    /// Those that have transforms, one at least.
+    Frames(Vec<Topic>),
     /// Those they are made from.
     Wheels { wheels: Topic, imu: Option<Topic> },
 }
 
 impl PoseTopics {
     pub(crate) fn find(drive: &Drive<'_>, options: &PoseOptions) -> Result<Self, IngestError> {
+        if let Some(frames) = &options.frames {
+            return Self::find_frames(drive, &frames.topics);
+        }
         let Some(wheels) = &options.wheels else {
             let topic = options.topic.as_deref().unwrap_or_default();
             return Ok(Self::Poses(drive.topic(topic, "ingest.pose.topic", &POSE_TYPES)?));
@@ -32,9 +43,27 @@ impl PoseTopics {
         })
     }
 
+    /// A log need not have them all: it may have no static transforms.
+    fn find_frames(drive: &Drive<'_>, names: &[String]) -> Result<Self, IngestError> {
+        let mut topics = Vec::new();
+        let mut missing = None;
+        for name in names {
+            match drive.topic(name, "ingest.pose.frames.topics", &FRAME_TYPES) {
+                Ok(topic) => topics.push(topic),
+                Err(error @ IngestError::NoTopic { .. }) => missing = missing.or(Some(error)),
+                Err(error) => return Err(error),
+            }
+        }
+        match missing {
+            Some(error) if topics.is_empty() => Err(error),
+            _ => Ok(Self::Frames(topics)),
+        }
+    }
+
     pub(crate) fn all(&self) -> Vec<&Topic> {
         match self {
             Self::Poses(topic) => vec![topic],
+            Self::Frames(topics) => topics.iter().collect(),
             Self::Wheels { wheels, imu } => [wheels].into_iter().chain(imu).collect(),
         }
     }
@@ -43,6 +72,7 @@ impl PoseTopics {
     fn main(&self) -> &Topic {
         match self {
             Self::Poses(topic) | Self::Wheels { wheels: topic, .. } => topic,
+            Self::Frames(topics) => &topics[0],
         }
     }
 }
@@ -50,19 +80,21 @@ impl PoseTopics {
 /// Readings of sensors of motion, in the order of the log.
 #[derive(Debug, Default)]
 pub(crate) struct Motion {
-    poses: Vec<StampedPose>,
+    pub(crate) poses: Vec<StampedPose>,
+    fixes: Vec<NavSatFix>,
+    pub(crate) frames: FrameGraph,
     /// Speeds of the wheels.
-    speeds: Vec<WheelSample>,
+    pub(crate) speeds: Vec<WheelSample>,
     /// Positions of the wheels: stamp \[ns\], left and right \[m\].
-    positions: Vec<(i64, f64, f64)>,
-    imu: Vec<ImuReading>,
+    pub(crate) positions: Vec<(i64, f64, f64)>,
+    pub(crate) imu: Vec<ImuReading>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct ImuReading {
-    stamp_ns: i64,
-    angular_velocity: [f64; 3],
-    acceleration: Option<[f64; 3]>,
+pub(crate) struct ImuReading {
+    pub(crate) stamp_ns: i64,
+    pub(crate) angular_velocity: [f64; 3],
+    pub(crate) acceleration: Option<[f64; 3]>,
     heading_rad: Option<f64>,
 }
 
@@ -70,6 +102,7 @@ impl Motion {
     /// Adds a message of one of the topics; the error says what is wrong with it ("that ...").
     pub(crate) fn add(
         &mut self,
+        topic: &str,
         source: Source,
         data: &[u8],
         options: &PoseOptions,
@@ -86,6 +119,18 @@ impl Motion {
                     acceleration: imu.linear_acceleration,
                     heading_rad: imu.orientation.filter(|_| options.use_heading).map(yaw_rad),
                 });
+            }
+            (MessageType::NavSatFix, _) => {
+                let fix = read_nav_sat_fix(source, data).map_err(undecodable)?;
+                fixes::check(&fix)?;
+                self.fixes.push(fix);
+            }
+            (MessageType::Tf | MessageType::FoxgloveFrameTransform, _) => {
+                let is_static = topic.ends_with("_static");
+                let transforms = read_transforms(source, data).map_err(undecodable)?;
+                for transform in transforms {
+                    self.frames.add(&transform, is_static)?;
+                }
             }
             (MessageType::JointState, _) => self.add_joints(source, data, options)?,
             (MessageType::Odometry, Some(_)) => {
@@ -135,10 +180,11 @@ impl Motion {
         Ok(())
     }
 
-    /// Adds what comes later in the log; returns how many poses are earlier than those before.
+    /// Adds what comes later in the log, the transforms excepted; returns how many poses are earlier than those before.
     pub(crate) fn extend(&mut self, other: Self) -> u64 {
         let before = self.poses.len().saturating_sub(1);
         self.poses.extend(other.poses);
+        self.fixes.extend(other.fixes);
         self.speeds.extend(other.speeds);
         self.positions.extend(other.positions);
         self.imu.extend(other.imu);
@@ -146,21 +192,44 @@ impl Motion {
         steps.filter(|pair| pair[1].stamp_ns < pair[0].stamp_ns).count() as u64
     }
 
-    /// The trajectory of the drive; what was left out and what is to be known is added. `path`
-    /// stands for the drive in errors.
+    /// Whether its poses are those of a satellite receiver.
+    pub(crate) fn has_fixes(&self) -> bool {
+        !self.fixes.is_empty()
+    }
+
+    /// Takes over the transforms that come later in the log.
+    pub(crate) fn add_frames(&mut self, other: &mut Self) {
+        self.frames.extend(std::mem::take(&mut other.frames));
+    }
+
+    /// Forgets transforms that are not needed.
+    pub(crate) fn cut_down(&mut self, options: &PoseOptions) {
+        if let Some(Frames { parent, child, .. }) = &options.frames {
+            self.frames.cut_down(parent, child);
+        }
+    }
+
+    /// The trajectory of the lidar; what was left out and what is to be known is added.
     pub(crate) fn trajectory(
         self,
-        path: &std::path::Path,
-        topics: &PoseTopics,
-        options: &PoseOptions,
+        from: &PosesFrom<'_>,
         dropped: &mut Dropped,
         notes: &mut Vec<String>,
     ) -> Result<Trajectory, IngestError> {
-        let poses = match topics {
-            PoseTopics::Poses(_) => self.poses,
-            PoseTopics::Wheels { wheels, .. } => {
+        let options = from.options;
+        let poses = match (from.topics, &options.frames) {
+            (PoseTopics::Frames(_), Some(frames)) => {
+                let (poses, n_beyond) = self
+                    .frames
+                    .poses(&frames.parent, &frames.child)
+                    .map_err(|why| from.no_frames(why, frames, &self.frames))?;
+                let reason = "poses at stamps that another transform on the way does not reach";
+                dropped.add(reason, n_beyond);
+                poses
+            }
+            (PoseTopics::Wheels { wheels, .. }, _) => {
                 let fused = self.fuse(options).map_err(|source| IngestError::Fuse {
-                    path: path.to_owned(),
+                    path: from.path.to_owned(),
                     topic: wheels.name.clone(),
                     source,
                 })?;
@@ -173,17 +242,28 @@ impl Motion {
                 };
                 fused.poses.iter().map(pose).collect()
             }
+            _ => {
+                match self.fixes.first().map(|first| options.origin.unwrap_or(fixes::origin(first)))
+                {
+                    Some(origin) => {
+                        notes.push(format!(
+                        "poses of {} fixes, headings by course, from the origin {{ latitude_deg = {}, longitude_deg = {}, altitude_m = {} }}",
+                        self.fixes.len(), origin.latitude_deg, origin.longitude_deg, origin.altitude_m
+                    ));
+                        fixes::poses(&self.fixes, &origin)
+                    }
+                    None => self.poses,
+                }
+            }
         };
+        let mount = from.mount;
+        let poses = poses.into_iter().map(|pose| mounted(&pose, &mount)).collect();
         let (trajectory, n_duplicates) = Trajectory::new(poses);
         dropped.add("poses with the stamp of another pose", n_duplicates as u64);
         if trajectory.poses().is_empty() {
-            let topic = topics.main().name.clone();
-            let detail = match dropped.is_empty() {
-                true => String::new(),
-                false => format!(" (dropped: {dropped})"),
-            };
-            return Err(IngestError::NoPoses { path: path.to_owned(), topic, detail });
+            return Err(from.no_poses(dropped));
         }
+        notes.extend(jumps(&trajectory, options.max_speed_m_s));
         Ok(trajectory)
     }
 
@@ -209,6 +289,79 @@ impl Motion {
         });
         fuse::fuse(&options.fuse_options(), &wheels, &imu, start, None)
     }
+}
+
+/// Where the poses of a drive come from.
+pub(crate) struct PosesFrom<'a> {
+    /// Stands for the drive in errors.
+    pub(crate) path: &'a std::path::Path,
+    pub(crate) topics: &'a PoseTopics,
+    pub(crate) options: &'a PoseOptions,
+    /// `base_from_lidar`
+    pub(crate) mount: Pose2,
+}
+
+impl PosesFrom<'_> {
+    fn no_poses(&self, dropped: &Dropped) -> IngestError {
+        let detail = match dropped.is_empty() {
+            true => String::new(),
+            false => format!(" (dropped: {dropped})"),
+        };
+        let topic = self.topics.main().name.clone();
+        IngestError::NoPoses { path: self.path.to_owned(), topic, detail }
+    }
+
+    fn no_frames(&self, why: NoWay, frames: &Frames, graph: &FrameGraph) -> IngestError {
+        let names: Vec<String> = graph.names().iter().map(|name| format!("`{name}`")).collect();
+        IngestError::NoFrames {
+            path: self.path.to_owned(),
+            parent: frames.parent.clone(),
+            child: frames.child.clone(),
+            why: match why {
+                NoWay::Unconnected => "no transforms lead from one to the other",
+                NoWay::Still => "none of the transforms between them moves",
+            },
+            found: match names.as_slice() {
+                [] => "the log has no transform that can be read".to_owned(),
+                names => format!("the transforms connect the frames {}", names.join(", ")),
+            },
+        }
+    }
+}
+
+/// The pose of a sensor on the robot, of that of the robot, with its covariance: of
+/// x + c mx - s my, y + s mx + c my and h, to first order.
+fn mounted(robot: &StampedPose, mount: &Pose2) -> StampedPose {
+    let pose = robot.pose * *mount;
+    let [dx, dy] = [pose.x_m - robot.pose.x_m, pose.y_m - robot.pose.y_m];
+    // How the sensor's x and y change with the robot's heading.
+    let [a, b] = [-dy, dx];
+    let covariance = robot.covariance.map(|[xx, xy, xh, yy, yh, hh]| {
+        [
+            xx + 2.0 * a * xh + a * a * hh,
+            xy + b * xh + a * yh + a * b * hh,
+            xh + a * hh,
+            yy + 2.0 * b * yh + b * b * hh,
+            yh + b * hh,
+            hh,
+        ]
+    });
+    StampedPose { stamp_ns: robot.stamp_ns, pose, covariance }
+}
+
+/// Poses that no robot of this speed gets to from the ones before, in a line.
+fn jumps(trajectory: &Trajectory, max_speed_m_s: f64) -> Option<String> {
+    let pairs = trajectory.poses().windows(2);
+    let jumps: Vec<_> = pairs.filter(|p| is_jump(&p[0], &p[1], max_speed_m_s)).collect();
+    let distance_m = |p: &[StampedPose]| p[0].pose.distance_m(&p[1].pose);
+    let largest = jumps.iter().rev().max_by(|a, b| distance_m(a).total_cmp(&distance_m(b)))?;
+    let secs = largest[1].stamp_ns.saturating_sub(largest[0].stamp_ns) as f64 * 1e-9;
+    Some(format!(
+        "{} jumps of the poses, faster than {max_speed_m_s} m/s, the largest of {:.2} m in {secs:.3} s at {} ns: poses between are not to be trusted (ingest.pose.max_speed_m_s)",
+        jumps.len(),
+        distance_m(largest),
+        largest[0].stamp_ns
+    ))
 }
 
 /// Standard gravity \[m/s^2\], and how far a mean acceleration may be from it to be it.
@@ -273,7 +426,7 @@ mod tests {
     }
 
     fn add(motion: &mut Motion, message_type: MessageType, bytes: &[u8]) -> Result<(), String> {
-        motion.add(Source { message_type, encoding: Encoding::Cdr }, bytes, &options())
+        motion.add("/topic", Source { message_type, encoding: Encoding::Cdr }, bytes, &options())
     }
 
     fn joints(stamp_ns: i64, names: &[&str], velocities: &[f64], positions: &[f64]) -> Vec<u8> {

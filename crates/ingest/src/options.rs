@@ -4,6 +4,7 @@ use messages::hdl32e::LASERS;
 use serde::{Deserialize, Serialize};
 
 pub use crate::clock::Clock;
+use crate::pose_options::{PlanarPose, PoseOptions};
 
 /// Where scans come from; the section `[ingest.lidar]`.
 ///
@@ -31,6 +32,13 @@ pub struct LidarOptions {
     pub range_max_m: f64,
     /// The sensor hangs upside down: its scans are mirrored, so that y is left again.
     pub upside_down: bool,
+    /// Where the lidar is on the robot, whose pose it is that is logged; without it the logged poses
+    /// are the lidar's own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mount: Option<PlanarPose>,
+    /// Each return is moved to where it would have been seen from at the scan's stamp, where the
+    /// robot's motion is known often enough: poses, or wheels and IMU, at least every 0.25 s.
+    pub deskew: bool,
     /// A turn of which a larger share of the packets is missing is dropped and counted.
     pub max_missing_share: f64,
     /// Where the time of a scan made of packets comes from.
@@ -47,6 +55,8 @@ impl Default for LidarOptions {
             range_min_m: 0.9,
             range_max_m: 70.0,
             upside_down: false,
+            mount: None,
+            deskew: true,
             max_missing_share: 0.25,
             clock: Clock::Host,
         }
@@ -57,7 +67,7 @@ impl Default for LidarOptions {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("`ingest.lidar.{key}` is {found}, expected {expected}")]
 pub struct OptionError {
-    key: &'static str,
+    key: String,
     found: f64,
     expected: &'static str,
 }
@@ -65,7 +75,8 @@ pub struct OptionError {
 impl LidarOptions {
     /// Refuses values out of range.
     pub fn check(&self) -> Result<(), OptionError> {
-        let fail = |key, found, expected| Err(OptionError { key, found, expected });
+        let fail =
+            |key: &str, found, expected| Err(OptionError { key: key.to_owned(), found, expected });
         let (min, max, share) = (self.range_min_m, self.range_max_m, self.max_missing_share);
         if !(min.is_finite() && 0.0 <= min) {
             return fail("range_min_m", min, "0 or more");
@@ -86,6 +97,9 @@ impl LidarOptions {
         {
             return fail("elevation_deg", deg, "-90 to 90");
         }
+        if let Some((key, found)) = self.mount.and_then(|mount| mount.not_finite()) {
+            return fail(&format!("mount.{key}"), found, "a finite number");
+        }
         let alternative = "no more than one of `laser`, `ring` and `elevation_deg`";
         match (self.laser, self.ring, self.elevation_deg) {
             (Some(laser), Some(_), _) | (Some(laser), _, Some(_)) => {
@@ -95,123 +109,6 @@ impl LidarOptions {
             _ => Ok(()),
         }
     }
-}
-
-/// Where poses come from; the section `[ingest.pose]`: a `topic` that has them, or `wheels` and
-/// `imu`, from which they are made.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields, default)]
-pub struct PoseOptions {
-    /// Topic with `PoseStamped`, `PoseWithCovarianceStamped`, `Odometry` or `foxglove.PoseInFrame`
-    /// messages; the schema tells which.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub topic: Option<String>,
-    /// Topic with the speeds of the wheels, `JointState` (names with `left` and `right` in them), or
-    /// with `Odometry`, whose twist is taken.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub wheels: Option<String>,
-    /// Topic with `Imu` messages.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub imu: Option<String>,
-    /// Distance between the contact points of the left and the right wheel \[m\].
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub track_m: Option<f64>,
-    /// Radius of the wheels, where a `JointState` tells their angles \[m\]; without it positions are
-    /// in m and velocities in m/s.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub wheel_radius_m: Option<f64>,
-    /// Whether headings of the `Imu` messages' orientation are used, which need not be those of the
-    /// map: their offset is estimated.
-    pub use_heading: bool,
-    /// Pose at the first reading of the wheels; without it the log has a map frame of its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub start: Option<Start>,
-    /// What is known of the robot and its sensors.
-    pub fuse: fuse::Options,
-}
-
-impl Default for PoseOptions {
-    fn default() -> Self {
-        Self {
-            topic: None,
-            wheels: None,
-            imu: None,
-            track_m: None,
-            wheel_radius_m: None,
-            use_heading: true,
-            start: None,
-            fuse: fuse::Options::default(),
-        }
-    }
-}
-
-/// Where a drive starts, in the site's map frame.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Start {
-    /// \[m\]
-    pub x_m: f64,
-    /// \[m\]
-    pub y_m: f64,
-    /// Counter-clockwise from x \[deg\].
-    pub heading_deg: f64,
-}
-
-impl PoseOptions {
-    /// Poses of a topic that has them.
-    pub fn of_topic(topic: impl Into<String>) -> Self {
-        Self { topic: Some(topic.into()), ..Self::default() }
-    }
-
-    /// Whether the poses are in a map frame of the log's own: where its wheels were first read.
-    pub fn is_own_frame(&self) -> bool {
-        self.wheels.is_some() && self.start.is_none()
-    }
-
-    /// Refuses contradictions and values out of range.
-    pub fn check(&self) -> Result<(), PoseOptionError> {
-        let fail = |detail: String| Err(PoseOptionError { detail });
-        match (&self.topic, &self.wheels, &self.imu) {
-            (None, None, _) => {
-                return fail("names neither `topic` nor `wheels`, expected one of them".to_owned());
-            }
-            (Some(_), Some(_), _) | (Some(_), _, Some(_)) => {
-                return fail("names `topic` and `wheels` or `imu`, expected poses or what they are made from".to_owned());
-            }
-            (Some(_), None, None) => return Ok(()),
-            (None, Some(_), _) => {}
-        }
-        if self.track_m.is_none() {
-            return fail(
-                "names `wheels` without `track_m`, the distance between the wheels in m".to_owned(),
-            );
-        }
-        if let Some(radius_m) = self.wheel_radius_m
-            && !(radius_m.is_finite() && 0.0 < radius_m)
-        {
-            return fail(format!("has `wheel_radius_m` {radius_m}, expected more than 0"));
-        }
-        if let Some(start) = self.start
-            && ![start.x_m, start.y_m, start.heading_deg].iter().all(|v| v.is_finite())
-        {
-            return fail("has a `start` that is not finite".to_owned());
-        }
-        self.fuse_options().check().map_err(|e| PoseOptionError { detail: format!("has {e}") })
-    }
-
-    /// The options of the fusion, with the track.
-    pub(crate) fn fuse_options(&self) -> fuse::Options {
-        fuse::Options { track_m: self.track_m.unwrap_or_default(), ..self.fuse.clone() }
-    }
-}
-
-/// Options that do not go together, or one out of range.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("`ingest.pose` {detail}")]
-pub struct PoseOptionError {
-    detail: String,
 }
 
 /// What to take from one log.
@@ -227,29 +124,6 @@ pub struct Options {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn poses_come_from_one_place() {
-        let wheels = PoseOptions {
-            wheels: Some("/wheels".to_owned()),
-            track_m: Some(0.5),
-            ..PoseOptions::default()
-        };
-        assert_eq!(PoseOptions::of_topic("/pose").check(), Ok(()));
-        assert_eq!(wheels.check(), Ok(()));
-        for (options, says) in [
-            (PoseOptions::default(), "neither `topic` nor `wheels`"),
-            (
-                PoseOptions { topic: Some("/pose".to_owned()), ..wheels.clone() },
-                "`topic` and `wheels`",
-            ),
-            (PoseOptions { track_m: None, ..wheels.clone() }, "without `track_m`"),
-            (PoseOptions { track_m: Some(-1.0), ..wheels.clone() }, "track_m"),
-        ] {
-            let message = options.check().unwrap_err().to_string();
-            assert!(message.contains(says), "{message}");
-        }
-    }
 
     #[test]
     fn one_beam_is_named_in_one_way() {

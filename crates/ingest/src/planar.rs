@@ -4,11 +4,19 @@ use dataset::Scan;
 use messages::{MessageError, Source, read_laser_scan};
 
 use crate::LidarOptions;
+use crate::deskew::TimedScan;
+
+/// A scan takes no longer than this \[ns\].
+const MAX_SCAN_NS: f64 = 1e9;
 
 /// Beam `i` points to `angle_min + i angle_increment`; a reading outside the message's own range
 /// limits or the options' is no return (`sensor_msgs/LaserScan`, REP 117), nor is one at the
 /// message's maximum, which older drivers give where nothing returned.
-pub(crate) fn scan(source: Source, data: &[u8], options: &LidarOptions) -> messages::Result<Scan> {
+pub(crate) fn scan(
+    source: Source,
+    data: &[u8],
+    options: &LidarOptions,
+) -> messages::Result<TimedScan> {
     let message = read_laser_scan(source, data)?;
     if !message.angle_min.is_finite() || !message.angle_increment.is_finite() {
         return Err(MessageError::NotFinite { message: "LaserScan" });
@@ -24,14 +32,21 @@ pub(crate) fn scan(source: Source, data: &[u8], options: &LidarOptions) -> messa
             as f32,
         ..Scan::default()
     };
+    // Beams of a scanner that tells no times, or none that can be, are taken as of one moment.
+    let beam_ns = message.time_increment_s * 1e9;
+    let is_timed = 0.0 < beam_ns && beam_ns * message.ranges.len() as f64 <= MAX_SCAN_NS;
+    let mut times_ns = Vec::new();
     for (beam, &range) in message.ranges.iter().enumerate() {
         if own_limits.contains(&range) && limits.contains(&range) {
             let (sin, cos) = libm::sincos(message.angle_min + beam as f64 * increment);
             scan.x_m.push((f64::from(range) * cos) as f32);
             scan.y_m.push((f64::from(range) * sin * side) as f32);
+            if is_timed {
+                times_ns.push((beam as f64 * beam_ns).round() as i64);
+            }
         }
     }
-    Ok(scan)
+    Ok(TimedScan { scan, times_ns })
 }
 
 #[cfg(test)]
@@ -46,6 +61,7 @@ mod tests {
             stamp_ns: 77,
             angle_min: f64::from(-FRAC_PI_2),
             angle_increment: f64::from(FRAC_PI_2),
+            time_increment_s: 0.0,
             range_min: 0.05,
             range_max: 50.0,
             ranges,
@@ -62,7 +78,7 @@ mod tests {
         let options = LidarOptions::default();
         for encoding in [Encoding::Cdr, Encoding::Ros1] {
             let bytes = ros::write_laser_scan(encoding, "laser", &message);
-            let scan = scan(source(encoding), &bytes, &options).unwrap();
+            let scan = scan(source(encoding), &bytes, &options).unwrap().scan;
             assert_eq!(scan.stamp_ns, 77);
             assert_eq!(scan.coverage_deg, 180.0);
             let expected = [(0.0, -1.0), (2.0, 0.0), (0.0, 3.0)];
@@ -72,15 +88,28 @@ mod tests {
         }
         let upside_down = LidarOptions { upside_down: true, ..LidarOptions::default() };
         let bytes = ros::write_laser_scan(Encoding::Cdr, "laser", &message);
-        let scan = scan(source(Encoding::Cdr), &bytes, &upside_down).unwrap();
+        let scan = scan(source(Encoding::Cdr), &bytes, &upside_down).unwrap().scan;
         assert!((scan.y_m[0] - 1.0).abs() < 1e-6);
+    }
+
+    /// Beams 0 and 2 of 3 return, a quarter of a second apart each; times of minutes are none.
+    #[test]
+    fn beams_have_times_where_the_message_tells_them() {
+        for (time_increment_s, expected) in
+            [(0.25, vec![0, 500_000_000]), (0.0, vec![]), (60.0, vec![]), (f64::NAN, vec![])]
+        {
+            let timed = LaserScan { time_increment_s, ..message(vec![1.0, f32::NAN, 3.0]) };
+            let bytes = ros::write_laser_scan(Encoding::Cdr, "laser", &timed);
+            let scan = scan(source(Encoding::Cdr), &bytes, &LidarOptions::default()).unwrap();
+            assert_eq!(scan.times_ns, expected);
+        }
     }
 
     #[test]
     fn no_returns_in_every_spelling_are_left_out() {
         let ranges = vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, 51.0, 50.0, 0.89, 0.9];
         let bytes = ros::write_laser_scan(Encoding::Cdr, "laser", &message(ranges));
-        let scan = scan(source(Encoding::Cdr), &bytes, &LidarOptions::default()).unwrap();
+        let scan = scan(source(Encoding::Cdr), &bytes, &LidarOptions::default()).unwrap().scan;
         assert_eq!(scan.len(), 1, "only 0.9 m is within both limits");
         assert_eq!(scan.coverage_deg, 630.0, "swept, returned or not");
     }

@@ -11,20 +11,27 @@ pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, S
     let pose = read_pose(source, data).map_err(|error| {
         format!("that do not decode as {} ({})", source.message_type.name(), error.kind())
     })?;
-    let [x, y, z, w] = pose.orientation;
-    let norm = (x * x + y * y + z * z + w * w).sqrt();
-    if !pose.position.iter().all(|v| v.is_finite()) || !norm.is_finite() {
+    if !pose.position.iter().all(|v| v.is_finite()) {
+        return Err("with a value that is not finite".to_owned());
+    }
+    let planar = Pose2 {
+        x_m: pose.position[0],
+        y_m: pose.position[1],
+        heading_rad: yaw_rad(unit_quaternion(pose.orientation)?),
+    };
+    Ok(StampedPose::new(pose.stamp_ns, planar))
+}
+
+/// A quaternion of length 1, of one that is nearly so; the error says what it is ("with ...").
+pub(crate) fn unit_quaternion(q: [f64; 4]) -> Result<[f64; 4], String> {
+    let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
+    if !norm.is_finite() {
         return Err("with a value that is not finite".to_owned());
     }
     if (norm - 1.0).abs() > MAX_NORM_ERROR {
         return Err("whose quaternion is not of length 1".to_owned());
     }
-    let planar = Pose2 {
-        x_m: pose.position[0],
-        y_m: pose.position[1],
-        heading_rad: yaw_rad([x / norm, y / norm, z / norm, w / norm]),
-    };
-    Ok(StampedPose::new(pose.stamp_ns, planar))
+    Ok(q.map(|v| v / norm))
 }
 
 /// Heading of a unit quaternion (x, y, z, w): the angle about z of the rotation sequence

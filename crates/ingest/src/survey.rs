@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use dataset::{Dropped, StampedPose, Trajectory};
 use messages::hdl32e::{self, BLOCKS, HORIZONTAL_LASER, HOUR_US, LASERS, Packet, ReturnMode};
-use messages::{MessageType, Source, read_laser_scan, read_velodyne};
+use messages::{MessageType, NavSatFix, Source, read_laser_scan, read_velodyne};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -18,7 +18,7 @@ use crate::ring::RingPacket;
 use crate::sensor::{self, HDL32E, Laser};
 use crate::topic::{Drive, FilePiece};
 use crate::turns::TurnCutter;
-use crate::{LIDAR_TYPES, PIECES_PER_THREAD, POSE_TYPES, forget, poses};
+use crate::{LIDAR_TYPES, PIECES_PER_THREAD, POSE_TYPES, fixes, forget, poses};
 
 /// What a drive holds.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
@@ -250,6 +250,7 @@ struct Found {
     n_returns: [u64; LASERS],
     foreign: BTreeMap<&'static str, u64>,
     poses: Vec<StampedPose>,
+    fixes: Vec<NavSatFix>,
     scans: Option<ScansSurvey>,
     rings: Rings,
     dropped: Dropped,
@@ -293,6 +294,12 @@ impl Found {
                 1 => self.rings.add(source, data),
                 _ => Ok(()),
             },
+            MessageType::NavSatFix => {
+                messages::read_nav_sat_fix(source, data).map(|fix| match fixes::check(&fix) {
+                    Ok(()) => self.fixes.push(fix),
+                    Err(reason) => self.dropped.add(format!("messages of {topic} {reason}"), 1),
+                })
+            }
             other if POSE_TYPES.contains(&other) => match poses::stamped_pose(source, data) {
                 Ok(pose) => {
                     self.poses.push(pose);
@@ -431,6 +438,7 @@ impl Gathered {
             *all.foreign.entry(model).or_default() += n;
         }
         all.poses.extend(found.poses);
+        all.fixes.extend(found.fixes);
         if let Some(scans) = found.scans {
             let merged = all.scans.get_or_insert_with(|| scans.clone());
             merged.n_beams =
@@ -464,6 +472,9 @@ impl Gathered {
                 self.found.scans.map_or(Content::Other, Content::Scans)
             }
             Some(pose) if POSE_TYPES.contains(&pose) => {
+                if let Some(first) = self.found.fixes.first() {
+                    self.found.poses = fixes::poses(&self.found.fixes, &fixes::origin(first));
+                }
                 let (trajectory, n_duplicates) = Trajectory::new(self.found.poses);
                 let reason = format!("poses of {topic} with the stamp of another pose");
                 dropped.add(reason, n_duplicates as u64);

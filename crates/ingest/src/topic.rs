@@ -32,6 +32,11 @@ impl Topic {
         self.sources[file].get(&channel).copied()
     }
 
+    /// Whether a piece may hold messages of it.
+    pub(crate) fn may_be_in(&self, piece: &FilePiece<'_>) -> bool {
+        piece.piece.may_hold(|id| self.source(piece.file, id).is_some())
+    }
+
     /// Whether some of its messages are read in a way.
     pub(crate) fn any(&self, is_so: impl Fn(&Source) -> bool) -> bool {
         self.sources.iter().flat_map(BTreeMap::values).any(is_so)

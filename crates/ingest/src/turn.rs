@@ -4,8 +4,9 @@ use std::f64::consts::TAU;
 use std::sync::LazyLock;
 
 use dataset::{RangeLimits, Scan};
-use messages::hdl32e::{AZIMUTH_COUNTS, METRES_PER_COUNT, PERIODS_PER_BLOCK};
+use messages::hdl32e::{AZIMUTH_COUNTS, BLOCK_PERIOD_NS, METRES_PER_COUNT, PERIODS_PER_BLOCK};
 
+use crate::deskew::Smear;
 use crate::options::LidarOptions;
 use crate::sensor::Laser;
 
@@ -22,6 +23,9 @@ pub(crate) struct Firing {
     pub(crate) fine_azimuth: u32,
     /// \[2 mm\], 0 for no return.
     pub(crate) distance: u16,
+    /// When it fired: block periods since the first firing of the turn, those of missing packets
+    /// included.
+    pub(crate) slot: u16,
 }
 
 /// The firings between two passes of azimuth 0.
@@ -40,6 +44,8 @@ pub(crate) struct Turn {
     pub(crate) widest_hole: u64,
     /// The step of the last firing.
     pub(crate) last_step: u32,
+    /// The slot of the next firing.
+    pub(crate) next_slot: u16,
     /// Whether the turn's start was seen: the firing before it lies in another turn, or is due
     /// before azimuth 0.
     pub(crate) starts_at_cut: bool,
@@ -50,6 +56,18 @@ impl Turn {
     pub(crate) fn miss(&mut self, azimuth: u64) {
         self.missed += azimuth;
         self.widest_hole = self.widest_hole.max(azimuth);
+    }
+
+    /// Passes over the time of firings that are missing.
+    pub(crate) fn skip_slots(&mut self, n_firings: u64) {
+        let n = u16::try_from(n_firings).unwrap_or(u16::MAX);
+        self.next_slot = self.next_slot.saturating_add(n);
+    }
+
+    /// When its last firing happened \[ns\].
+    pub(crate) fn end_ns(&self) -> i64 {
+        let last = self.firings.last().map_or(0, |firing| firing.slot);
+        self.stamp_ns.saturating_add(i64::from(last) * BLOCK_PERIOD_NS)
     }
 
     /// Share of the circle for which there is no packet. A firing or two at the cut are no hole.
@@ -108,7 +126,10 @@ impl ScanMaker {
     /// x forward, y left (REP 103); azimuth 0 is forward and azimuth grows clockwise:
     /// x = r cos e cos a, y = -r cos e sin a, with e the beam's elevation. Upside down, rolled about
     /// x, azimuth grows counter-clockwise. The range limits hold for r.
-    pub(crate) fn scan(&self, turn: &Turn) -> Scan {
+    ///
+    /// With the motion during the turn, returns are moved to where they would have been seen from at
+    /// its stamp.
+    pub(crate) fn scan(&self, turn: &Turn, smear: Option<&Smear>) -> Scan {
         let n_returns = turn.firings.iter().filter(|firing| firing.distance != 0).count();
         let mut scan = Scan {
             stamp_ns: turn.stamp_ns,
@@ -120,21 +141,50 @@ impl ScanMaker {
         for firing in &turn.firings {
             let range_m = f64::from(firing.distance) * METRES_PER_COUNT;
             if firing.distance != 0 && self.limits.contains(range_m) {
-                let [cos, sin] = self.direction(firing.fine_azimuth);
                 let planar_m = range_m * self.horizontal;
-                scan.x_m.push((planar_m * cos) as f32);
-                scan.y_m.push((self.side * planar_m * sin) as f32);
+                let [x_m, y_m] = match smear {
+                    None => {
+                        let [cos, sin] = self.direction(firing.fine_azimuth);
+                        [planar_m * cos, self.side * planar_m * sin]
+                    }
+                    Some(smear) => self.moved(firing, planar_m, smear),
+                };
+                scan.x_m.push(x_m as f32);
+                scan.y_m.push(y_m as f32);
             }
         }
         scan
+    }
+
+    /// A return in the lidar frame of the turn's stamp: a lidar that has turned left by h since has
+    /// seen it h farther left.
+    fn moved(&self, firing: &Firing, planar_m: f64, smear: &Smear) -> [f64; 2] {
+        let [dx, dy, heading] = smear.at(i64::from(firing.slot) * BLOCK_PERIOD_NS);
+        let turned = self.side * heading * (f64::from(FINE_TURN) / TAU);
+        let mut fine = f64::from(firing.fine_azimuth) + turned;
+        let turn = f64::from(FINE_TURN);
+        if !(0.0..turn).contains(&fine) {
+            fine = fine.rem_euclid(turn);
+        }
+        // Whole counts by the table, the rest by its series; what rounds up to a turn is none.
+        let whole = (fine as u32).min(FINE_TURN - 1);
+        let [cos, sin] = self.direction_near(whole, fine - f64::from(whole));
+        [dx + planar_m * cos, dy + self.side * planar_m * sin]
     }
 
     /// Cosine and sine of an azimuth: those of the table's entry before it, turned on by the rest d,
     /// which is less than 1.8e-3 rad, so that their series to d^4 and d^5 are exact in f64.
     #[inline]
     fn direction(&self, fine_azimuth: u32) -> [f64; 2] {
+        self.direction_near(fine_azimuth, 0.0)
+    }
+
+    /// Of an azimuth and a part of a fine count.
+    #[inline]
+    fn direction_near(&self, fine_azimuth: u32, part: f64) -> [f64; 2] {
         let [cos, sin] = self.directions[(fine_azimuth / FINE_PER_ENTRY) as usize];
-        let d = f64::from(fine_azimuth % FINE_PER_ENTRY) * (TAU / f64::from(FINE_TURN));
+        let fine = f64::from(fine_azimuth % FINE_PER_ENTRY) + part;
+        let d = fine * (TAU / f64::from(FINE_TURN));
         let d2 = d * d;
         let cos_d = 1.0 - d2 * (0.5 - d2 / 24.0);
         let sin_d = d * (1.0 - d2 * (1.0 / 6.0 - d2 / 120.0));
@@ -153,7 +203,7 @@ mod tests {
     /// 5 m at azimuth 90 deg, clockwise: to the right, y = -5; upside down to the left.
     #[test]
     fn azimuth_is_clockwise_and_mirrored_upside_down() {
-        let firing = |deg: u32, distance| Firing { fine_azimuth: deg * 4000, distance };
+        let firing = |deg: u32, distance| Firing { fine_azimuth: deg * 4000, distance, slot: 0 };
         let turn = Turn {
             firings: vec![
                 firing(0, 2500),
@@ -165,7 +215,8 @@ mod tests {
             ..Turn::default()
         };
         for (upside_down, y) in [(false, -5.0), (true, 5.0)] {
-            let scan = maker(&LidarOptions { upside_down, ..LidarOptions::default() }).scan(&turn);
+            let scan =
+                maker(&LidarOptions { upside_down, ..LidarOptions::default() }).scan(&turn, None);
             assert_eq!(scan.len(), 3, "no return and 0.898 m are left out, 0.9 m is kept");
             assert_eq!((scan.x_m[0], scan.y_m[0].abs()), (5.0, 0.0));
             assert!(scan.x_m[1].abs() < 1e-6 && (scan.y_m[1] - y).abs() < 1e-6);
@@ -188,11 +239,11 @@ mod tests {
     fn a_slanted_beam_is_laid_into_the_plane_and_limited_by_its_range() {
         let options = LidarOptions { range_max_m: 10.0, ..LidarOptions::default() };
         let firings = vec![
-            Firing { fine_azimuth: 0, distance: 5000 },
-            Firing { fine_azimuth: 90 * 4000, distance: 5001 },
+            Firing { fine_azimuth: 0, distance: 5000, slot: 0 },
+            Firing { fine_azimuth: 90 * 4000, distance: 5001, slot: 1 },
         ];
         let turn = Turn { firings, ..Turn::default() };
-        let scan = ScanMaker::new(&options, Laser::new(1)).scan(&turn);
+        let scan = ScanMaker::new(&options, Laser::new(1)).scan(&turn, None);
         assert_eq!(scan.len(), 1, "10.002 m is beyond, whatever its share in the plane");
         assert!((scan.x_m[0] - 9.867_62).abs() < 1e-5);
     }

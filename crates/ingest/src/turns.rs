@@ -89,6 +89,8 @@ impl TurnCutter {
             Link::Hole { turned, n_packets } => {
                 self.add(&pending, own_step(&pending), turns);
                 self.skip(turned, turns);
+                let n_firings = n_packets.saturating_mul(u64::from(pending.n_firings));
+                self.turn.skip_slots(n_firings);
                 self.ends.n_missing_packets += n_packets;
             }
             Link::Interrupted => {
@@ -133,10 +135,13 @@ impl TurnCutter {
                 Some(next) => u32::from(next - packet.azimuth[k]),
                 None => last_step,
             });
+            let first_slot = self.turn.next_slot;
             self.turn.firings.extend(steps.enumerate().map(|(k, step)| Firing {
                 fine_azimuth: u32::from(packet.azimuth[k]) * FINE_PER_COUNT + laser as u32 * step,
                 distance: packet.distance[k],
+                slot: first_slot.saturating_add(k as u16),
             }));
+            self.turn.next_slot = first_slot.saturating_add(n as u16);
             let turned = u32::from(packet.azimuth[n - 1] - packet.azimuth[0]);
             self.turn.swept += u64::from(turned + last_step);
             self.turn.last_step = last_step;
@@ -161,6 +166,7 @@ impl TurnCutter {
             }
             if self.turn.firings.is_empty() {
                 self.turn.stamp_ns = first_ns + k as i64 * BLOCK_PERIOD_NS;
+                self.turn.next_slot = 0;
                 // The firing before the first of a log is due one step before it.
                 self.turn.starts_at_cut |= fine_azimuth < step * FINE_PER_COUNT;
             }
@@ -168,7 +174,9 @@ impl TurnCutter {
                 self.ends.dropped.add("turns of more than 0.46 s (the sensor stalled)", 1);
                 self.turn = Turn::default();
             }
-            self.turn.firings.push(Firing { fine_azimuth, distance: packet.distance[k] });
+            let slot = self.turn.next_slot;
+            self.turn.firings.push(Firing { fine_azimuth, distance: packet.distance[k], slot });
+            self.turn.next_slot = slot.saturating_add(1);
             self.turn.swept += u64::from(step);
             self.turn.last_step = step;
         }
@@ -284,7 +292,8 @@ mod tests {
             let block = 50 + 1800 * k as i64;
             assert_eq!(turn.stamp_ns, 1_000_000_000 + block * 46_080 + 17_280);
         }
-        let scan = ScanMaker::new(&LidarOptions::default(), Laser::HORIZONTAL).scan(&turns[0]);
+        let scan =
+            ScanMaker::new(&LidarOptions::default(), Laser::HORIZONTAL).scan(&turns[0], None);
         assert!((scan.coverage_deg - 359.8).abs() < 1e-4);
         assert!(scan.is_ring());
     }
@@ -301,7 +310,7 @@ mod tests {
     }
 
     fn scan(turn: &Turn) -> dataset::Scan {
-        ScanMaker::new(&LidarOptions::default(), Laser::HORIZONTAL).scan(turn)
+        ScanMaker::new(&LidarOptions::default(), Laser::HORIZONTAL).scan(turn, None)
     }
 
     /// Each packet is 2.4 deg; the firings at its two ends are 0.2 deg from their neighbours, so

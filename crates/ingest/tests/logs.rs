@@ -267,6 +267,7 @@ fn a_scan_whose_angles_are_no_numbers_is_counted() {
         stamp_ns: 5,
         angle_min: f64::NAN,
         angle_increment: 0.5,
+        time_increment_s: 0.0,
         range_min: 0.1,
         range_max: 50.0,
         ranges: vec![1.0; 7],

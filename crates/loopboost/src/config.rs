@@ -248,11 +248,33 @@ fn apply_override(table: &mut Table, text: &str) -> Result<()> {
     Ok(())
 }
 
+/// Poses come from one place: what names another one takes the place of that.
+fn give_up_other_sources(pose: &mut Table, over: &Table) {
+    const SOURCES: [&str; 3] = ["topic", "frames", "wheels"];
+    let Some(source) = SOURCES.into_iter().find(|source| over.contains_key(*source)) else {
+        return;
+    };
+    SOURCES.into_iter().filter(|other| *other != source).for_each(|other| {
+        pose.remove(other);
+    });
+    if source != "wheels" {
+        pose.remove("imu");
+    }
+    if source != "topic" {
+        pose.remove("origin");
+    }
+}
+
 /// Lays one table over another, section by section.
 fn merge(base: &mut Table, over: &Table) {
     for (key, value) in over {
         match (base.get_mut(key), value) {
-            (Some(Value::Table(base)), Value::Table(over)) => merge(base, over),
+            (Some(Value::Table(base)), Value::Table(over)) => {
+                if key == "pose" {
+                    give_up_other_sources(base, over);
+                }
+                merge(base, over);
+            }
             _ => {
                 base.insert(key.clone(), value.clone());
             }

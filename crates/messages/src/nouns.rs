@@ -9,6 +9,8 @@ pub struct LaserScan {
     pub angle_min: f64,
     /// Angle from a beam to the next \[rad\].
     pub angle_increment: f64,
+    /// Time from a beam to the next \[s\]; 0 where unknown.
+    pub time_increment_s: f64,
     /// Readings nearer than this are no returns \[m\].
     pub range_min: f32,
     /// Readings farther than this are no returns \[m\].

@@ -48,6 +48,7 @@ fn messages(encoding: Encoding) -> [(MessageType, Vec<u8>); 5] {
         stamp_ns: 1,
         angle_min: 0.0,
         angle_increment: 0.1,
+        time_increment_s: 0.0,
         range_min: 0.0,
         range_max: 9.0,
         ranges: vec![1.0; 5],

@@ -24,6 +24,7 @@ pub fn planar(k: i64, encoding: Encoding) -> Vec<u8> {
         stamp_ns: k * 100_000_000,
         angle_min: -1.5,
         angle_increment: 0.5,
+        time_increment_s: 0.0,
         range_min: 0.1,
         range_max: 50.0,
         ranges: (0..7).map(|beam| 1.0 + (k + beam) as f32).collect(),

@@ -65,31 +65,42 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
 /// Refuses logs of one site whose poses are not in the site's map frame: revisits between them would
 /// be made up.
 fn check_frames(run: &Run, logs: &[LogFile]) -> Result<()> {
-    let options = logs
-        .iter()
-        .map(|log| Ok((log, run.config.for_log(&log.name)?)))
-        .collect::<Result<Vec<_>>>()?;
-    for (log, own) in &options {
-        let is_own_frame = own.pose.as_ref().is_some_and(PoseOptions::is_own_frame);
-        let shares = |(other, of_other): &&(&LogFile, LogOptions)| {
-            other.name != log.name && own.site.is_some() && of_other.site == own.site
-        };
-        if let (true, Some((other, _))) = (is_own_frame, options.iter().find(shares)) {
-            return Err(usage(format!(
-                "poses of log `{}` are fused from wheels and start in a frame of their own, but its site `{}` is that of `{}` too; give each such log its [ingest.log.{}.pose.start], or take `site` away",
-                log.name,
-                own.site.as_deref().unwrap_or_default(),
-                other.name,
-                log.name
-            )));
+    for log in logs {
+        let own = run.config.for_log(&log.name)?;
+        if own.pose.as_ref().is_some_and(PoseOptions::is_own_frame)
+            && let Some(other) = sharer(run, &log.name, &own)?
+        {
+            let why = "are fused from wheels and start in a frame of their own";
+            return Err(own_frame(&log.name, why, &own, other, "start"));
         }
     }
     Ok(())
 }
 
+fn own_frame(log: &str, why: &str, own: &LogOptions, other: &str, key: &str) -> anyhow::Error {
+    usage(format!(
+        "poses of log `{log}` {why}, but its site `{}` is that of `{other}` too; give each such log its [ingest.log.{log}.pose.{key}], or take `site` away",
+        own.site.as_deref().unwrap_or_default(),
+    ))
+}
+
+/// Another log of the site of this one.
+fn sharer<'a>(run: &'a Run, name: &str, own: &LogOptions) -> Result<Option<&'a str>> {
+    for other in run.logs()? {
+        if *other.name != *name
+            && own.site.is_some()
+            && run.config.for_log(&other.name)?.site == own.site
+        {
+            return Ok(Some(&other.name));
+        }
+    }
+    Ok(None)
+}
+
 fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done> {
-    let options = run.config.for_log(&file.name)?;
-    let options = Options { lidar: options.lidar, pose: options.pose };
+    let own = run.config.for_log(&file.name)?;
+    let sharer = sharer(run, &file.name, &own)?;
+    let options = Options { lidar: own.lidar.clone(), pose: own.pose.clone() };
     let (logs, lost) = open(file)?;
     let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
     let progress = progress_bar(n_bytes as u64, format!("ingest {}", file.name), true);
@@ -102,6 +113,10 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
             |scans| writer.push(scans).map_err(anyhow::Error::from),
             |position| progress.set_position(position),
         )?;
+        if let (true, Some(other)) = (ingested.is_own_frame, sharer) {
+            let why = "are counted from its first satellite fix";
+            return Err(own_frame(&file.name, why, &own, other, "origin"));
+        }
         ingested.dropped.merge(lost);
         writer.set_dropped(ingested.dropped.clone());
         anyhow::Ok(ingested)

@@ -30,7 +30,7 @@ struct LaserScanWire {
     intensities: Vec<f64>,
 }
 
-/// The message gives the angles of its first and last beam and no range limits. Its pose, the
+/// The message gives the angles of its first and last beam, no times of beams and no range limits. Its pose, the
 /// scan's origin in its frame, is ignored: a scan is in the lidar's own frame.
 pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<LaserScan>> {
     const TYPE: MessageType = MessageType::FoxgloveLaserScan;
@@ -43,6 +43,7 @@ pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Las
         stamp_ns: stamp_ns(TYPE, wire.timestamp)?,
         angle_min: wire.start_angle,
         angle_increment,
+        time_increment_s: 0.0,
         range_min: 0.0,
         range_max: f32::INFINITY,
         ranges: wire.ranges.iter().map(|&range| range as f32).collect(),

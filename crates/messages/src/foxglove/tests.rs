@@ -35,6 +35,7 @@ fn laser() -> LaserScan {
         stamp_ns: STAMP_NS,
         angle_min: -1.0,
         angle_increment: 1.0,
+        time_increment_s: 0.0,
         range_min: 0.0,
         range_max: f32::INFINITY,
         ranges: vec![1.5, f32::INFINITY, 2.0],

@@ -28,13 +28,15 @@ pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Las
         stamp_ns: wire.header.stamp_ns(),
         angle_min: f64::from(wire.angle_min),
         angle_increment: f64::from(wire.angle_increment),
+        time_increment_s: f64::from(wire.time_increment),
         range_min: wire.range_min,
         range_max: wire.range_max,
         ranges: wire.ranges,
     }))
 }
 
-/// Writes a `sensor_msgs/LaserScan` without intensities; its angles are rounded to `f32`.
+/// Writes a `sensor_msgs/LaserScan` without intensities; its angles and times are rounded
+/// to `f32`.
 pub fn write_laser_scan(encoding: Encoding, frame_id: &str, scan: &LaserScan) -> Vec<u8> {
     let angle_min = scan.angle_min as f32;
     let angle_increment = scan.angle_increment as f32;
@@ -46,7 +48,7 @@ pub fn write_laser_scan(encoding: Encoding, frame_id: &str, scan: &LaserScan) ->
             angle_min,
             angle_max: angle_min + angle_increment * n_steps,
             angle_increment,
-            time_increment: 0.0,
+            time_increment: scan.time_increment_s as f32,
             scan_time: 0.0,
             range_min: scan.range_min,
             range_max: scan.range_max,

@@ -32,6 +32,7 @@ fn laser() -> LaserScan {
         stamp_ns: 5,
         angle_min: -1.5,
         angle_increment: 0.5,
+        time_increment_s: 0.0009765625,
         range_min: 0.1,
         range_max: 81.0,
         ranges: vec![1.0, f32::INFINITY, 81.83],

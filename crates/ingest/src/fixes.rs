@@ -1,0 +1,178 @@
+//! Fixes of a satellite receiver -> poses in a local map frame: x east, y north, of an origin.
+//!
+//! A fix has no heading. That of a pose is the course: the direction from where the receiver was
+//! last, [`COURSE_M`] away, to where it is next. A robot that reverses is turned round by it.
+
+use dataset::{Pose2, StampedPose};
+use messages::NavSatFix;
+
+use crate::pose_options::Origin;
+
+/// Length of the chords whose direction is the course \[m\]: the noise of a receiver, some
+/// centimetres from fix to fix, turns them by little.
+const COURSE_M: f64 = 2.0;
+
+/// The ellipsoid of WGS 84 (NIMA TR8350.2, 3rd edition, table 3.1): semi-major axis \[m\] and
+/// flattening.
+const SEMI_MAJOR_M: f64 = 6_378_137.0;
+const FLATTENING: f64 = 1.0 / 298.257_223_563;
+
+/// `sensor_msgs/NavSatStatus`: below this there is no fix.
+const STATUS_FIX: i8 = 0;
+
+/// Refuses what is no place; the error says why ("without ...").
+pub(crate) fn check(fix: &NavSatFix) -> Result<(), String> {
+    if fix.status < STATUS_FIX {
+        return Err("without a fix (status below 0)".to_owned());
+    }
+    if !(fix.latitude_deg.abs() <= 90.0 && fix.longitude_deg.abs() <= 360.0) {
+        return Err("whose latitude or longitude is no place on the earth".to_owned());
+    }
+    Ok(())
+}
+
+/// Where a fix is, as the origin of a map frame.
+pub(crate) fn origin(fix: &NavSatFix) -> Origin {
+    Origin {
+        latitude_deg: fix.latitude_deg,
+        longitude_deg: fix.longitude_deg,
+        altitude_m: if fix.altitude_m.is_finite() { fix.altitude_m } else { 0.0 },
+    }
+}
+
+/// Poses of the receiver, (n,), in order of time.
+pub(crate) fn poses(fixes: &[NavSatFix], origin: &Origin) -> Vec<StampedPose> {
+    let plane = LocalPlane::new(origin);
+    let mut poses: Vec<StampedPose> = fixes
+        .iter()
+        .map(|fix| {
+            let altitude_m =
+                if fix.altitude_m.is_finite() { fix.altitude_m } else { origin.altitude_m };
+            let [x_m, y_m, _] = plane.east_north_up(&Origin { altitude_m, ..self::origin(fix) });
+            StampedPose::new(fix.stamp_ns, Pose2 { x_m, y_m, heading_rad: 0.0 })
+        })
+        .collect();
+    poses.sort_by_key(|pose| pose.stamp_ns);
+    set_courses(&mut poses);
+    poses
+}
+
+/// Gives each pose the direction of the chord it lies on; those after the last chord have its.
+fn set_courses(poses: &mut [StampedPose]) {
+    let mut start = 0;
+    let mut course = None;
+    for end in 1..poses.len() {
+        let (from, to) = (poses[start].pose, poses[end].pose);
+        if COURSE_M <= from.distance_m(&to) {
+            let heading_rad = libm::atan2(to.y_m - from.y_m, to.x_m - from.x_m);
+            poses[start..end].iter_mut().for_each(|p| p.pose.heading_rad = heading_rad);
+            start = end;
+            course = Some(heading_rad);
+        }
+    }
+    if let Some(heading_rad) = course {
+        poses[start..].iter_mut().for_each(|p| p.pose.heading_rad = heading_rad);
+    }
+}
+
+/// The plane that touches the ellipsoid, raised to the origin.
+struct LocalPlane {
+    origin: [f64; 3],
+    /// Sine and cosine of the latitude and the longitude of the origin.
+    latitude: (f64, f64),
+    longitude: (f64, f64),
+}
+
+impl LocalPlane {
+    fn new(origin: &Origin) -> Self {
+        Self {
+            origin: earth_centred(origin),
+            latitude: libm::sincos(origin.latitude_deg.to_radians()),
+            longitude: libm::sincos(origin.longitude_deg.to_radians()),
+        }
+    }
+
+    /// East, north and up of a point \[m\] (Hofmann-Wellenhof, Lichtenegger and Wasle 2008, "GNSS",
+    /// eq. 8.7).
+    fn east_north_up(&self, point: &Origin) -> [f64; 3] {
+        let p = earth_centred(point);
+        let [dx, dy, dz]: [f64; 3] = std::array::from_fn(|k| p[k] - self.origin[k]);
+        let ((sin_lat, cos_lat), (sin_lon, cos_lon)) = (self.latitude, self.longitude);
+        [
+            -sin_lon * dx + cos_lon * dy,
+            -sin_lat * cos_lon * dx - sin_lat * sin_lon * dy + cos_lat * dz,
+            cos_lat * cos_lon * dx + cos_lat * sin_lon * dy + sin_lat * dz,
+        ]
+    }
+}
+
+/// Earth-centred, earth-fixed coordinates \[m\] (the same, eq. 8.4).
+fn earth_centred(point: &Origin) -> [f64; 3] {
+    let e2 = FLATTENING * (2.0 - FLATTENING);
+    let (sin_lat, cos_lat) = libm::sincos(point.latitude_deg.to_radians());
+    let (sin_lon, cos_lon) = libm::sincos(point.longitude_deg.to_radians());
+    let n = SEMI_MAJOR_M / (1.0 - e2 * sin_lat * sin_lat).sqrt();
+    let h = point.altitude_m;
+    [(n + h) * cos_lat * cos_lon, (n + h) * cos_lat * sin_lon, (n * (1.0 - e2) + h) * sin_lat]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::FRAC_PI_2;
+
+    fn fix(stamp_ns: i64, latitude_deg: f64, longitude_deg: f64) -> NavSatFix {
+        NavSatFix {
+            stamp_ns,
+            status: 0,
+            latitude_deg,
+            longitude_deg,
+            altitude_m: f64::NAN,
+            covariance: [0.0; 9],
+        }
+    }
+
+    /// Radii of curvature on WGS 84: along a meridian a (1 - e^2) / (1 - e^2 sin^2)^(3/2), along a
+    /// parallel a cos / sqrt(1 - e^2 sin^2). At 0 deg a degree north is 110 574.3 m and a degree
+    /// east 111 319.5 m; at 60 deg 111 412.2 and 55 800.0 m (the lengths in many a table).
+    #[test]
+    fn a_thousandth_of_a_degree_by_the_radii_of_curvature() {
+        for (latitude, north_m, east_m) in [(0.0, 110.5743, 111.3195), (60.0, 111.4122, 55.8000)] {
+            let place = Origin { latitude_deg: latitude, longitude_deg: -83.7, altitude_m: 0.0 };
+            let fixes = [fix(0, latitude + 1e-3, -83.7), fix(1, latitude, -83.7 + 1e-3)];
+            let poses = poses(&fixes, &place);
+            assert!(poses[0].pose.x_m.abs() < 1e-6 && (poses[0].pose.y_m - north_m).abs() < 2e-3);
+            assert!((poses[1].pose.x_m - east_m).abs() < 2e-3 && poses[1].pose.y_m.abs() < 2e-3);
+        }
+        // The centre of the earth is one equatorial radius away.
+        let equator = Origin { latitude_deg: 0.0, longitude_deg: 90.0, altitude_m: 5.0 };
+        let [x, y, z] = earth_centred(&equator);
+        assert!(x.abs() < 1e-8 && (y - SEMI_MAJOR_M - 5.0).abs() < 1e-8 && z == 0.0);
+    }
+
+    /// North for 5 fixes 1.1 m apart, then standing still, then east.
+    #[test]
+    fn the_heading_is_the_course() {
+        let step_north = 1.1 / 110_574.3;
+        let step_east = 1.1 / 111_319.5;
+        let mut fixes: Vec<_> = (0..5).map(|k| fix(k, k as f64 * step_north, 0.0)).collect();
+        fixes.extend((5..8).map(|k| fix(k, 4.0 * step_north, 0.0)));
+        fixes.extend((8..12).map(|k| fix(k, 4.0 * step_north, (k - 7) as f64 * step_east)));
+        let place = Origin { latitude_deg: 0.0, longitude_deg: 0.0, altitude_m: 0.0 };
+        let headings: Vec<f64> = poses(&fixes, &place).iter().map(|p| p.pose.heading_rad).collect();
+        for (k, heading) in headings.iter().enumerate() {
+            let expected = if k < 4 { FRAC_PI_2 } else { 0.0 };
+            assert!((heading - expected).abs() < 1e-3, "{k}: {headings:?}");
+        }
+        let still = poses(&fixes[5..8], &place);
+        assert!(still.iter().all(|p| p.pose.heading_rad == 0.0));
+    }
+
+    #[test]
+    fn what_is_no_fix_says_why() {
+        let lost = NavSatFix { status: -1, ..fix(0, 1.0, 1.0) };
+        assert!(check(&lost).unwrap_err().contains("without a fix"));
+        assert!(check(&fix(0, f64::NAN, 0.0)).unwrap_err().contains("no place"));
+        assert_eq!(check(&fix(0, -90.0, 180.0)), Ok(()));
+    }
+}

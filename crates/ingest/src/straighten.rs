@@ -1,0 +1,141 @@
+//! Turns and scans wait until it is known how the lidar moved during them.
+
+use std::collections::VecDeque;
+
+use dataset::{Pose2, Scan};
+
+use crate::deskew::{Smear, TimedScan, Track};
+use crate::follow::Follower;
+use crate::motion::Motion;
+use crate::options::Options;
+use crate::turn::{ScanMaker, Turn};
+
+/// Scans that wait at most: 100 s of a lidar at 10 Hz. Where the poses come later than that, scans
+/// stay as they are.
+const MAX_HELD: usize = 1000;
+
+/// What a scan is made of.
+#[derive(Debug)]
+pub(crate) enum Raw {
+    Turn(Turn),
+    Scan(TimedScan),
+}
+
+/// A scan to be made, and the motion during it where it is to be straightened.
+pub(crate) type Released = (Raw, Option<Smear>);
+
+/// Holds scans back until their poses have been read.
+pub(crate) struct Straightener {
+    /// None where scans are to stay as they are.
+    follower: Option<Follower>,
+    is_wanted: bool,
+    track: Track,
+    held: VecDeque<Raw>,
+    n_straight: u64,
+    /// Scans whose messages do not tell the times of their returns.
+    n_untimed: u64,
+    /// Scans around which the motion is not known.
+    n_unknown: u64,
+}
+
+impl Straightener {
+    pub(crate) fn new(options: &Options) -> Self {
+        let is_wanted = options.lidar.deskew;
+        let pose = options.pose.as_ref().filter(|_| is_wanted);
+        let mount = options.lidar.mount.map_or(Pose2::default(), |mount| mount.pose());
+        Self {
+            follower: pose.map(|pose| Follower::new(pose, mount)),
+            is_wanted,
+            track: Track::new(pose.map_or(f64::INFINITY, |pose| pose.max_speed_m_s)),
+            held: VecDeque::new(),
+            n_straight: 0,
+            n_untimed: 0,
+            n_unknown: 0,
+        }
+    }
+
+    pub(crate) fn hold(&mut self, raw: Raw) {
+        self.held.push_back(raw);
+    }
+
+    /// Goes on with what comes next in the log; `all` is what has come so far.
+    pub(crate) fn follow(&mut self, next: &Motion, all: &Motion) {
+        if let Some(follower) = &mut self.follower {
+            follower.follow(next, &all.frames, &mut self.track);
+        }
+    }
+
+    /// The scans whose poses have come, or will not, in order; at the end all of them.
+    pub(crate) fn release(&mut self, is_end: bool, released: &mut Vec<Released>) {
+        let before = released.len();
+        while let Some(raw) = self.held.front() {
+            let range_ns = raw.range_ns();
+            let is_settled = self.follower.is_none()
+                || range_ns.is_none_or(|(_, end_ns)| self.track.has_reached(end_ns))
+                || MAX_HELD < self.held.len();
+            if !is_settled && !is_end {
+                break;
+            }
+            let smear = match (&self.follower, range_ns) {
+                (None, _) => None,
+                (Some(_), None) => {
+                    self.n_untimed += 1;
+                    None
+                }
+                (Some(_), Some((start_ns, end_ns))) => {
+                    let smear = self.track.smear(raw.stamp_ns(), start_ns, end_ns);
+                    *(if smear.is_some() { &mut self.n_straight } else { &mut self.n_unknown }) +=
+                        1;
+                    smear
+                }
+            };
+            released.extend(self.held.pop_front().map(|raw| (raw, smear)));
+        }
+        if let Some((raw, _)) = released[before..].last() {
+            self.track.forget_before(raw.stamp_ns());
+        }
+    }
+
+    /// What became of the scans, in a line; nothing where no poses were asked for either.
+    pub(crate) fn told(&self) -> Option<String> {
+        if self.follower.is_none() {
+            let told = "scans are as they were measured, on the move (deskew = false)";
+            return (!self.is_wanted).then(|| told.to_owned());
+        }
+        let why = [
+            (self.n_unknown, "the motion around them is not known at least every 0.25 s"),
+            (self.n_untimed, "their messages do not tell the times of the returns"),
+        ];
+        let told = why
+            .iter()
+            .filter(|(n, _)| 0 < *n)
+            .map(|(n, why)| format!("; {n} are as they were measured, since {why}"));
+        Some(format!("{} scans straightened{}", self.n_straight, told.collect::<String>()))
+    }
+}
+
+impl Raw {
+    fn stamp_ns(&self) -> i64 {
+        match self {
+            Self::Turn(turn) => turn.stamp_ns,
+            Self::Scan(timed) => timed.scan.stamp_ns,
+        }
+    }
+
+    /// The times of its first and last return, as far as they are known \[ns since the epoch\].
+    fn range_ns(&self) -> Option<(i64, i64)> {
+        match self {
+            Self::Turn(turn) => Some((turn.stamp_ns, turn.end_ns())),
+            Self::Scan(timed) => timed.range_ns(),
+        }
+    }
+
+    /// The scan, straightened where the motion is given.
+    pub(crate) fn scan(self, maker: &ScanMaker, smear: Option<&Smear>) -> Scan {
+        match (self, smear) {
+            (Self::Turn(turn), smear) => maker.scan(&turn, smear),
+            (Self::Scan(timed), Some(smear)) => timed.straightened(smear),
+            (Self::Scan(timed), None) => timed.scan,
+        }
+    }
+}

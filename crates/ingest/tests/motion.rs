@@ -1,0 +1,426 @@
+//! Scans taken on the move, and poses from transforms and satellite fixes; on logs made in memory.
+
+mod common;
+
+use std::f64::consts::{PI, TAU};
+
+use common::{Entry, ingest_bytes, options, pose, reasons, small_chunks, write};
+use dataset::{Pose2, Scan};
+use ingest::{Frames, Ingested, Options, Origin, PlanarPose, PoseOptions};
+use messages::hdl32e::{BLOCK_PERIOD_NS, BLOCKS, LASER_PERIOD_NS, PACKET_PERIOD_NS, PacketBuilder};
+use messages::{Encoding, Imu, JointState, LaserScan, NavSatFix, StampedPose3, Transform, ros};
+
+/// 0.18 deg a block: 2000 firings a turn, 10.85 Hz.
+const STEP: u64 = 18;
+/// Nanoseconds of firing, all in all.
+const DURATION_NS: i64 = 1_000_000_000;
+/// Standard deviation of the range \[m\] (HDL-32E manual: accuracy below 2 cm).
+const NOISE_M: f64 = 0.02;
+/// Where the wall is, left of a robot that looks along x \[m\].
+const WALL_M: f64 = 5.0;
+
+/// How the robot moves: it spins by 1 rad/s on the spot, which lies 1 m behind the lidar.
+fn robot_at(ns: i64) -> Pose2 {
+    Pose2 { x_m: 0.0, y_m: 0.0, heading_rad: ns as f64 * 1e-9 }
+}
+
+const MOUNT: PlanarPose = PlanarPose { x_m: 1.0, y_m: 0.5, heading_deg: 30.0 };
+
+fn mount() -> Pose2 {
+    Pose2 { x_m: MOUNT.x_m, y_m: MOUNT.y_m, heading_rad: MOUNT.heading_deg.to_radians() }
+}
+
+/// Noise of the normal distribution, the sum of twelve uniform numbers (Knuth, vol. 2, 3.4.1).
+struct Noise(u64);
+
+impl Noise {
+    fn next(&mut self) -> f64 {
+        let mut uniform = || {
+            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            (self.0 >> 11) as f64 / (1u64 << 53) as f64
+        };
+        (0..12).map(|_| uniform()).sum::<f64>() - 6.0
+    }
+}
+
+/// Packets of a lidar on the robot before a wall along x, at y = [`WALL_M`] of the map, and nothing
+/// else.
+fn wall_packets() -> Vec<Entry> {
+    let mut noise = Noise(7);
+    let n_packets = DURATION_NS / PACKET_PERIOD_NS;
+    let packets: Vec<_> = (0..n_packets)
+        .map(|k| {
+            let first = k as u64 * BLOCKS as u64;
+            let azimuths = std::array::from_fn(|b| ((STEP * (first + b as u64)) % 36_000) as u16);
+            let mut packet = PacketBuilder::new(azimuths, (k * PACKET_PERIOD_NS / 1000) as u32);
+            for block in 0..BLOCKS {
+                let block_at = first + block as u64;
+                // Laser 15 fires 15/40 of a block after the azimuth was read.
+                let ns = block_at as i64 * BLOCK_PERIOD_NS + 15 * LASER_PERIOD_NS;
+                let azimuth = (block_at as f64 + 0.375) * STEP as f64 * 1e-2;
+                let lidar = robot_at(ns) * mount();
+                let direction = lidar.heading_rad - azimuth.to_radians();
+                let range_m = (WALL_M - lidar.y_m) / direction.sin();
+                if 0.0 < range_m && range_m < 20.0 {
+                    let measured_m = range_m + NOISE_M * noise.next();
+                    packet.set_return(block, 15, (measured_m / 0.002).round() as u16, 100);
+                }
+            }
+            ((k + 1) * PACKET_PERIOD_NS, packet.finish())
+        })
+        .collect();
+    let message = |chunk| ros::write_velodyne_scan(Encoding::Cdr, "velodyne", 0, chunk);
+    packets
+        .chunks(40)
+        .map(|chunk| ("/packets", "velodyne_msgs/msg/VelodyneScan", "cdr", message(chunk)))
+        .collect()
+}
+
+fn quaternion(heading_rad: f64) -> [f64; 4] {
+    let (sin, cos) = (0.5 * heading_rad).sin_cos();
+    [0.0, 0.0, sin, cos]
+}
+
+const MS: i64 = 1_000_000;
+
+/// Poses of the robot every so many ms, a little longer than the packets.
+fn robot_poses(every_ms: usize) -> Vec<Entry> {
+    let message = |ms: i64| {
+        let at = robot_at(ms * MS);
+        let pose = StampedPose3 {
+            stamp_ns: ms * MS,
+            position: [at.x_m, at.y_m, 0.0],
+            orientation: quaternion(at.heading_rad),
+        };
+        ros::write_pose_stamped(Encoding::Cdr, "map", &pose)
+    };
+    (0..=1200)
+        .step_by(every_ms)
+        .map(|ms| ("/pose", "geometry_msgs/msg/PoseStamped", "cdr", message(ms)))
+        .collect()
+}
+
+/// The messages of two topics, taken in turns, so that they lie beside each other in the file.
+fn interleaved(a: Vec<Entry>, b: Vec<Entry>) -> Vec<Entry> {
+    let (n_a, n_b) = (a.len() as f64, b.len() as f64);
+    let place = |k: usize, n: f64| (k as f64 + 0.5) / n;
+    let mut all: Vec<(f64, Entry)> =
+        a.into_iter().enumerate().map(|(k, entry)| (place(k, n_a), entry)).collect();
+    all.extend(b.into_iter().enumerate().map(|(k, entry)| (place(k, n_b), entry)));
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    all.into_iter().map(|(_, entry)| entry).collect()
+}
+
+fn moving(pose: PoseOptions, deskew: bool) -> Options {
+    let mut options = options("/packets", None);
+    options.lidar.mount = Some(MOUNT);
+    options.lidar.deskew = deskew;
+    options.lidar.check().unwrap();
+    pose.check().unwrap();
+    Options { pose: Some(pose), ..options }
+}
+
+fn ingest(entries: &[Entry], options: &Options) -> (Vec<Scan>, Ingested) {
+    ingest_bytes(&write(entries, small_chunks()), options).unwrap()
+}
+
+/// Root mean square of the distances of a scan's points to the line that fits them best \[m\].
+fn line_residual_m(scan: &Scan) -> f64 {
+    let points: Vec<[f64; 2]> =
+        scan.x_m.iter().zip(&scan.y_m).map(|(&x, &y)| [x.into(), y.into()]).collect();
+    let n = points.len() as f64;
+    let [mx, my] = [0, 1].map(|k| points.iter().map(|p| p[k]).sum::<f64>() / n);
+    let sum = |f: fn(f64, f64) -> f64| points.iter().map(|p| f(p[0] - mx, p[1] - my)).sum::<f64>();
+    let (xx, xy, yy) = (sum(|x, _| x * x), sum(|x, y| x * y), sum(|_, y| y * y));
+    let smaller = 0.5 * (xx + yy - ((xx - yy).powi(2) + 4.0 * xy * xy).sqrt());
+    (smaller / n).sqrt()
+}
+
+/// Range noise across the wall: a point at an angle b from the wall's normal is off by noise cos b.
+fn expected_residual_m(scan: &Scan, lidar: &Pose2) -> f64 {
+    let along = scan.x_m.iter().zip(&scan.y_m).map(|(&x, &y)| {
+        let direction = f64::from(y).atan2(f64::from(x)) + lidar.heading_rad;
+        direction.sin().powi(2)
+    });
+    NOISE_M * (along.sum::<f64>() / scan.len() as f64).sqrt()
+}
+
+/// Without deskew the wall is bent by what the robot turns while the lidar sweeps over it, about
+/// 0.04 rad; with it, from poses at 20 Hz, its residual is that of the range noise.
+#[test]
+fn on_a_spin_past_a_flat_wall_the_residual_falls_to_the_range_noise() {
+    let log = interleaved(wall_packets(), robot_poses(50));
+    let pose = || PoseOptions::of_topic("/pose");
+    let (raw, of_raw) = ingest(&log, &moving(pose(), false));
+    let (straight, of_straight) = ingest(&log, &moving(pose(), true));
+    assert_eq!((raw.len(), straight.len()), (10, 10));
+    assert!(of_raw.notes.iter().any(|note| note.contains("deskew = false")), "{:?}", of_raw.notes);
+    assert!(of_straight.notes.contains(&"10 scans straightened".to_owned()));
+    for (raw, straight) in raw.iter().zip(&straight) {
+        let lidar = robot_at(raw.stamp_ns) * mount();
+        let noise_m = expected_residual_m(straight, &lidar);
+        assert!(400 < straight.len() && raw.len() == straight.len());
+        let (before, after) = (line_residual_m(raw), line_residual_m(straight));
+        assert!(2.0 * noise_m < before, "{before} m");
+        // Of 700 points the root mean square is off by 1 / sqrt(2 * 700) = 2.7 % now and then.
+        assert!((after / noise_m - 1.0).abs() < 0.1, "{after} m, expected {noise_m} m");
+        // And it is where the wall is seen from at the stamp.
+        let mean_m = mean_wall_m(straight, &lidar);
+        assert!((mean_m - WALL_M).abs() < 0.005, "{mean_m} m");
+    }
+}
+
+/// Mean y of a scan's points in the map.
+fn mean_wall_m(scan: &Scan, lidar: &Pose2) -> f64 {
+    let y = scan.x_m.iter().zip(&scan.y_m).map(|(&x_m, &y_m)| {
+        (*lidar * Pose2 { x_m: x_m.into(), y_m: y_m.into(), heading_rad: 0.0 }).y_m
+    });
+    y.sum::<f64>() / scan.len() as f64
+}
+
+/// Sparse poses, or none in time, leave the scans as they are; that is told.
+#[test]
+fn where_the_motion_is_not_known_scans_stay_as_they_are() {
+    let pose = || PoseOptions::of_topic("/pose");
+    let (raw, _) = ingest(&interleaved(wall_packets(), robot_poses(50)), &moving(pose(), false));
+    let sparse = interleaved(wall_packets(), robot_poses(300));
+    let (scans, ingested) = ingest(&sparse, &moving(pose(), true));
+    assert_eq!(scans, raw);
+    let note = "0 scans straightened; 10 are as they were measured, since the motion around them is not known at least every 0.25 s";
+    assert!(ingested.notes.iter().any(|n| n == note), "{:?}", ingested.notes);
+}
+
+/// A log that was written topic by topic, poses first or last, or without an index, gives the same.
+#[test]
+fn where_the_poses_lie_in_the_file_does_not_matter() {
+    let pose = || PoseOptions::of_topic("/pose");
+    let options = moving(pose(), true);
+    let (packets, poses) = (wall_packets(), robot_poses(50));
+    let (expected, _) = ingest(&interleaved(packets.clone(), poses.clone()), &options);
+    let last: Vec<Entry> = packets.iter().chain(&poses).cloned().collect();
+    let first: Vec<Entry> = poses.iter().chain(&packets).cloned().collect();
+    for entries in [&last, &first] {
+        for writing in [small_chunks(), small_chunks().use_chunks(false)] {
+            let (scans, ingested) = ingest_bytes(&write(entries, writing), &options).unwrap();
+            assert_eq!(scans, expected);
+            assert_eq!(
+                (ingested.trajectory.poses().len(), ingested.dropped.is_empty()),
+                (25, true)
+            );
+        }
+    }
+}
+
+/// A planar scanner whose beams take 0.1 s: a wall ahead, at which the robot drives with 1 m/s.
+#[test]
+fn planar_scans_with_times_are_straightened() {
+    let beams = 101;
+    let scan = LaserScan {
+        stamp_ns: 100 * MS,
+        angle_min: -0.5,
+        angle_increment: 0.01,
+        time_increment_s: 0.001,
+        range_min: 0.1,
+        range_max: 50.0,
+        ranges: (0..beams)
+            .map(|beam| {
+                let angle = -0.5 + 0.01 * f64::from(beam);
+                ((WALL_M - 0.001 * f64::from(beam)) / angle.cos()) as f32
+            })
+            .collect(),
+    };
+    let mut log: Vec<Entry> = vec![(
+        "/scan",
+        "sensor_msgs/msg/LaserScan",
+        "cdr",
+        ros::write_laser_scan(Encoding::Cdr, "laser", &scan),
+    )];
+    // One metre every 0.1 s is too fast by far; of a tenth of that the scan knows.
+    let slow = |k: i64| StampedPose3 {
+        stamp_ns: k * 100 * MS,
+        position: [0.1 * k as f64, 0.0, 0.0],
+        orientation: quaternion(0.0),
+    };
+    let stamped = |k| ros::write_pose_stamped(Encoding::Cdr, "map", &slow(k));
+    log.extend((0..4).map(|k| ("/pose", "geometry_msgs/msg/PoseStamped", "cdr", stamped(k))));
+    let (scans, _) = ingest(&log, &options("/scan", Some("/pose")));
+    assert!(scans[0].x_m.iter().all(|x| (f64::from(*x) - WALL_M).abs() < 1e-5));
+    // Poses of 1 m a step jump: 10 m/s are below the limit of 15 m/s, and above one of 5.
+    let fast: Vec<Entry> = [log[0].clone()]
+        .into_iter()
+        .chain(
+            (0..4)
+                .map(|k| ("/pose", "geometry_msgs/msg/PoseStamped", "cdr", pose(k, Encoding::Cdr))),
+        )
+        .collect();
+    let mut limited = options("/scan", Some("/pose"));
+    let (_, ingested) = ingest(&fast, &limited);
+    assert!(ingested.notes.contains(&"1 scans straightened".to_owned()));
+    limited.pose.as_mut().unwrap().max_speed_m_s = 5.0;
+    let (_, ingested) = ingest(&fast, &limited);
+    let note = "3 jumps of the poses, faster than 5 m/s, the largest of 1.00 m in 0.100 s at 0 ns";
+    assert!(ingested.notes.iter().any(|n| n.starts_with(note)), "{:?}", ingested.notes);
+    assert!(ingested.notes.iter().any(|n| n.starts_with("0 scans straightened")));
+}
+
+/// The same spin, told by transforms map -> odom -> base (50 Hz) -> lidar.
+#[test]
+fn transforms_give_poses_and_straighten_scans() {
+    let transform = |parent: &str, child: &str, ms: i64, at: Pose2| Transform {
+        stamp_ns: ms * MS,
+        parent: parent.to_owned(),
+        child: child.to_owned(),
+        translation: [at.x_m, at.y_m, 0.7],
+        rotation: quaternion(at.heading_rad),
+    };
+    // The map lies somewhere else, by a transform that is told now and then.
+    let map_from_odom = Pose2 { x_m: 30.0, y_m: -4.0, heading_rad: 2.0 };
+    let mut told: Vec<Entry> = Vec::new();
+    let tf = |topic, transforms: &[Transform]| -> Entry {
+        (topic, "tf2_msgs/msg/TFMessage", "cdr", ros::write_tf(Encoding::Cdr, transforms))
+    };
+    told.push(tf("/tf_static", &[transform("base", "lidar", 0, mount())]));
+    for ms in (0..=1200).step_by(20) {
+        let wheel = transform("base", "wheel", ms, robot_at(ms * 50 * MS));
+        let base = transform("odom", "base", ms, robot_at(ms * MS));
+        let map = transform("map", "odom", ms, map_from_odom);
+        told.push(match ms % 200 {
+            0 => tf("/tf", &[wheel, base, map]),
+            _ => tf("/tf", &[wheel, base]),
+        });
+    }
+    let log = interleaved(wall_packets(), told);
+    let of = |parent: &str, child: &str| {
+        let topics = vec!["/tf".to_owned(), "/tf_static".to_owned()];
+        let (parent, child) = (parent.to_owned(), child.to_owned());
+        PoseOptions { frames: Some(Frames { parent, child, topics }), ..PoseOptions::default() }
+    };
+    let mut options = moving(of("map", "lidar"), true);
+    options.lidar.mount = None;
+    let (scans, ingested) = ingest(&log, &options);
+    assert_eq!(ingested.trajectory.poses().len(), 61);
+    for stamped in ingested.trajectory.poses() {
+        let expected = map_from_odom * robot_at(stamped.stamp_ns) * mount();
+        assert!(expected.distance_m(&stamped.pose) < 1e-12);
+        assert!(expected.heading_difference_rad(&stamped.pose) < 1e-12);
+    }
+    // As by poses of the robot and a mount; f32 points of steps of 20 and of 50 ms.
+    let by_pose = moving(PoseOptions::of_topic("/pose"), true);
+    let (expected, _) = ingest(&interleaved(wall_packets(), robot_poses(50)), &by_pose);
+    assert_eq!(scans.len(), expected.len());
+    for (a, b) in scans.iter().zip(&expected) {
+        let steps = a.x_m.iter().zip(&b.x_m).chain(a.y_m.iter().zip(&b.y_m));
+        assert!(steps.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max) < 1e-3);
+    }
+    let fail = |parent, child| {
+        let options = moving(of(parent, child), true);
+        ingest_bytes(&write(&log, small_chunks()), &options).unwrap_err().to_string()
+    };
+    assert_eq!(
+        fail("map", "camera"),
+        "drive.mcap: there are no poses of frame `camera` in frame `map`, since no transforms lead from one to the other; the transforms connect the frames `base`, `lidar`, `map`, `odom`, `wheel`: set `ingest.pose.frames` to two of them"
+    );
+    assert!(fail("base", "lidar").contains("none of the transforms between them moves"));
+}
+
+/// Wheels at 50 Hz and an IMU at 100 Hz, upside down: the same spin, dead-reckoned.
+#[test]
+fn wheels_and_an_imu_straighten_scans() {
+    let mut told: Vec<Entry> = Vec::new();
+    for ms in (0..=1200i64).step_by(10) {
+        let imu = Imu {
+            stamp_ns: ms * MS,
+            orientation: None,
+            angular_velocity: [0.0, 0.0, -1.0],
+            linear_acceleration: Some([0.0, 0.0, -9.8]),
+        };
+        let bytes = ros::write_imu(Encoding::Cdr, "imu", &imu);
+        told.push(("/imu", "sensor_msgs/msg/Imu", "cdr", bytes));
+        if ms % 20 == 0 {
+            let joints = JointState {
+                stamp_ns: ms * MS,
+                names: vec!["left".to_owned(), "right".to_owned()],
+                positions: vec![-0.25 * ms as f64 * 1e-3, 0.25 * ms as f64 * 1e-3],
+                velocities: vec![],
+            };
+            let bytes = ros::write_joint_state(Encoding::Cdr, "base", &joints);
+            told.push(("/wheels", "sensor_msgs/msg/JointState", "cdr", bytes));
+        }
+    }
+    let log = interleaved(wall_packets(), told);
+    for imu in [Some("/imu".to_owned()), None] {
+        let pose = PoseOptions {
+            wheels: Some("/wheels".to_owned()),
+            imu,
+            track_m: Some(0.5),
+            ..PoseOptions::default()
+        };
+        let (scans, ingested) = ingest(&log, &moving(pose, true));
+        // The first turn begins before there is a speed, between the first two positions.
+        let note = ingested.notes.iter().find(|n| n.contains("straightened")).unwrap();
+        assert!(note.starts_with("10 scans") || note.starts_with("9 scans"), "{note}");
+        for scan in &scans[1..] {
+            let noise_m = expected_residual_m(scan, &(robot_at(scan.stamp_ns) * mount()));
+            let residual_m = line_residual_m(scan);
+            assert!((residual_m / noise_m - 1.0).abs() < 0.1, "{residual_m} m, {noise_m} m");
+        }
+        // The poses are the lidar's: 1.118 m from where the robot spins.
+        for stamped in ingested.trajectory.poses() {
+            let radius_m = stamped.pose.distance_m(&Pose2::default());
+            assert!((radius_m - 1.25f64.sqrt()).abs() < 0.02, "{radius_m} m");
+            assert!(stamped.covariance.is_some());
+        }
+    }
+}
+
+/// 20 fixes along 45 deg, some of them none; the origin is given or that of the first fix.
+#[test]
+fn fixes_give_poses_east_and_north_of_an_origin() {
+    let fix = |k: i64| NavSatFix {
+        stamp_ns: k * 100 * MS,
+        status: if k % 5 == 4 { -1 } else { 0 },
+        latitude_deg: 42.29 + 1e-5 * k as f64,
+        longitude_deg: -83.71 + 1e-5 * k as f64,
+        altitude_m: 250.0,
+        covariance: [0.0; 9],
+    };
+    let schema = "sensor_msgs/msg/NavSatFix";
+    let told = |k| ros::write_nav_sat_fix(Encoding::Cdr, "gps", &fix(k));
+    let fixes: Vec<Entry> = (0..20).map(|k| ("/fix", schema, "cdr", told(k))).collect();
+    let log = interleaved(common::planar_log(), fixes);
+    let mut options = options("/scan", Some("/fix"));
+    let (_, ingested) = ingest(&log, &options);
+    assert_eq!(
+        reasons(&ingested.dropped),
+        [("messages of /fix without a fix (status below 0)", 4)]
+    );
+    assert!(ingested.is_own_frame);
+    let poses = ingested.trajectory.poses();
+    assert_eq!((poses.len(), poses[0].pose.x_m, poses[0].pose.y_m), (16, 0.0, 0.0));
+    // A degree of latitude at 42.29 deg is 111 068 m, one of longitude 82 464 m (the radii of
+    // curvature of WGS 84), and both grow by 250 m in the earth's radius.
+    let far = poses.last().unwrap().pose;
+    assert!((far.y_m - 18e-5 * 111_068.0 * (1.0 + 250.0 / 6.37e6)).abs() < 2e-3, "{far:?}");
+    assert!((far.x_m - 18e-5 * 82_464.0 * (1.0 + 250.0 / 6.37e6)).abs() < 2e-3, "{far:?}");
+    assert!((far.heading_rad - (111_068.0f64 / 82_464.0).atan()).abs() < 1e-3);
+    let note = "poses of 16 fixes, headings by course, from the origin { latitude_deg = 42.29, longitude_deg = -83.71, altitude_m = 250 }";
+    assert!(ingested.notes.iter().any(|n| n == note), "{:?}", ingested.notes);
+    // From a point 1e-3 deg farther south it is 111 m north.
+    let origin = Origin { latitude_deg: 42.289, longitude_deg: -83.71, altitude_m: 250.0 };
+    options.pose.as_mut().unwrap().origin = Some(origin);
+    let (_, ingested) = ingest(&log, &options);
+    assert!(!ingested.is_own_frame);
+    assert!((ingested.trajectory.poses()[0].pose.y_m - 111.07).abs() < 0.02);
+}
+
+/// Half a turn of the mount: what lies ahead of the robot lies behind the lidar.
+#[test]
+fn poses_are_those_of_the_lidar() {
+    let mut options = options("/scan", Some("/pose"));
+    options.lidar.mount = Some(PlanarPose { x_m: 0.5, y_m: -0.25, heading_deg: 180.0 });
+    let (_, ingested) = ingest(&common::planar_log(), &options);
+    for (k, stamped) in ingested.trajectory.poses().iter().enumerate() {
+        assert_eq!((stamped.pose.x_m, stamped.pose.y_m), (k as f64 + 0.5, -0.25));
+        assert!((stamped.pose.heading_rad.rem_euclid(TAU) - PI).abs() < 1e-12);
+    }
+}
