@@ -6,6 +6,7 @@ use std::fs;
 use std::io::Cursor;
 use std::sync::Arc;
 
+use messages::NavSatFix;
 use messages::ros::{self, Encoding, LaserScan, StampedPose3};
 
 use crate::support::{Workplace, loopboost};
@@ -30,6 +31,7 @@ fn log(n: i64) -> Vec<u8> {
     };
     let scans = channel(1, "/scan", "sensor_msgs/msg/LaserScan");
     let poses = channel(2, "/pose", "geometry_msgs/msg/PoseStamped");
+    let fixes = channel(3, "/fix", "sensor_msgs/msg/NavSatFix");
     for k in 0..n {
         let stamp_ns = k * 100_000_000;
         let scan = LaserScan {
@@ -46,7 +48,16 @@ fn log(n: i64) -> Vec<u8> {
             position: [0.5 * k as f64, 0.0, 0.0],
             orientation: [0.0, 0.0, 0.0, 1.0],
         };
+        let fix = NavSatFix {
+            stamp_ns,
+            status: 0,
+            latitude_deg: 42.0,
+            longitude_deg: -83.0 + 6e-6 * k as f64,
+            altitude_m: 200.0,
+            covariance: [0.0; 9],
+        };
         for (channel, data) in [
+            (&fixes, ros::write_nav_sat_fix(Encoding::Cdr, "gps", &fix)),
             (&scans, ros::write_laser_scan(Encoding::Cdr, "laser", &scan)),
             (&poses, ros::write_pose_stamped(Encoding::Cdr, "map", &pose)),
         ] {
@@ -264,6 +275,31 @@ fn a_stage_takes_no_table_made_with_other_options_or_from_other_files() {
         .says(&["features.parquet does not fit", "loopboost featurize"]);
     workplace.command("featurize", "out", &few).expect(0);
     workplace.command("train", "out", &few).expect(0);
+}
+
+/// Fixes of two logs of one site need one origin; the pose source of one log takes the place of the
+/// common one.
+#[test]
+fn fixes_of_one_site_need_one_origin() {
+    let workplace = workplace(&PIPELINE.replace("[\"a.mcap\"]", "[\"a.mcap\", \"b.mcap\"]"));
+    fs::write(workplace.path("b.mcap"), log(200)).unwrap();
+    let site = ["--set", "ingest.site=campus"];
+    let by_fixes = ["--set", "ingest.log.b.pose.topic=/fix"];
+    let args = [site, by_fixes].concat();
+    workplace.command("ingest", "out", &args).expect(2).says(&[
+        "poses of log `b` are counted from its first satellite fix",
+        "[ingest.log.b.pose.origin]",
+    ]);
+    let origin = [
+        "--set",
+        "ingest.log.b.pose.origin={ latitude_deg = 42.0, longitude_deg = -83.0, altitude_m = 0 }",
+    ];
+    workplace.command("ingest", "out", &[args, origin.to_vec()].concat()).expect(0);
+    let by_frames = ["--set", "ingest.log.b.pose.frames={ parent = \"map\", child = \"base\" }"];
+    workplace
+        .command("ingest", "out", &[site, by_frames].concat())
+        .expect(3)
+        .says(&["b.mcap has no topic `/tf`", "none would do"]);
 }
 
 #[test]
