@@ -215,6 +215,6 @@ fn another_format_version_names_both_and_the_command() {
     writer.write(&batch).unwrap();
     writer.close().unwrap();
     let message = read_pairs(&path, &[]).unwrap_err().to_string();
-    assert!(message.contains("format version 99, this program reads version 2"), "{message}");
+    assert!(message.contains("format version 99, this program reads version 3"), "{message}");
     assert!(message.contains("`loopboost label PIPELINE.toml --out DIR`"), "{message}");
 }
