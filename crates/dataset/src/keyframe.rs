@@ -22,6 +22,9 @@ pub struct Keyframe {
     pub stamp_ns: i64,
     /// Where the robot was then.
     pub pose: Pose2,
+    /// How well that is known, where the poses tell, as in
+    /// [`StampedPose`](crate::StampedPose::covariance).
+    pub covariance: Option<[f64; 6]>,
     /// Sum of the straight-line distances between the keyframes of this log so far \[m\].
     pub travel_m: f64,
     /// Angle swept by the scan \[deg\].

@@ -111,16 +111,22 @@ impl Trajectory {
         &self.poses
     }
 
+    /// The pose at a stamp, see [`Trajectory::stamped_pose_at`].
+    pub fn pose_at(&self, stamp_ns: i64, max_gap_ns: i64) -> Result<Pose2, NoPose> {
+        self.stamped_pose_at(stamp_ns, max_gap_ns).map(|stamped| stamped.pose)
+    }
+
     /// The pose at a stamp: position linear, heading along the shorter arc, between the two
     /// poses around it, where these are at most `max_gap_ns` apart. A stamp that a pose has needs
-    /// no neighbour.
-    pub fn pose_at(&self, stamp_ns: i64, max_gap_ns: i64) -> Result<Pose2, NoPose> {
+    /// no neighbour. The covariance is linear too, where both have one: errors of neighbours are
+    /// alike, so that a mean of the two is as uncertain as they are.
+    pub fn stamped_pose_at(&self, stamp_ns: i64, max_gap_ns: i64) -> Result<StampedPose, NoPose> {
         let after = self.poses.partition_point(|p| p.stamp_ns < stamp_ns);
         let Some(next) = self.poses.get(after) else {
             return Err(NoPose::AfterLast);
         };
         if next.stamp_ns == stamp_ns {
-            return Ok(next.pose);
+            return Ok(*next);
         }
         let Some(previous) = after.checked_sub(1).map(|k| &self.poses[k]) else {
             return Err(NoPose::BeforeFirst);
@@ -131,13 +137,17 @@ impl Trajectory {
         }
         let share = (stamp_ns - previous.stamp_ns) as f64 / gap_ns as f64;
         let (a, b) = (&previous.pose, &next.pose);
-        Ok(Pose2 {
+        let turned_rad = wrap_angle(b.heading_rad - a.heading_rad);
+        let pose = Pose2 {
             x_m: a.x_m + share * (b.x_m - a.x_m),
             y_m: a.y_m + share * (b.y_m - a.y_m),
-            heading_rad: wrap_angle(
-                a.heading_rad + share * wrap_angle(b.heading_rad - a.heading_rad),
-            ),
-        })
+            heading_rad: wrap_angle(a.heading_rad + share * turned_rad),
+        };
+        let covariance = match (previous.covariance, next.covariance) {
+            (Some(a), Some(b)) => Some(std::array::from_fn(|k| a[k] + share * (b[k] - a[k]))),
+            _ => None,
+        };
+        Ok(StampedPose { stamp_ns, pose, covariance })
     }
 }
 
@@ -172,6 +182,21 @@ mod tests {
         assert!((pose.heading_rad - PI).abs() < 1e-12);
         let pose = trajectory.pose_at(125, 100).unwrap();
         assert!((pose.heading_rad - 175f64.to_radians()).abs() < 1e-12);
+    }
+
+    /// A quarter of the way from 1 to 5 is 2; one neighbour without a covariance leaves none.
+    #[test]
+    fn covariances_are_interpolated_where_both_neighbours_have_one() {
+        let with = |stamp_ns, entry: f64| StampedPose {
+            covariance: Some([entry, 0.0, -entry, entry, 0.0, 1.0]),
+            ..at(stamp_ns, 0.0, 0.0)
+        };
+        let (trajectory, _) =
+            Trajectory::new(vec![with(100, 1.0), with(200, 5.0), at(300, 0.0, 0.0)]);
+        let covariance = |stamp_ns| trajectory.stamped_pose_at(stamp_ns, 100).unwrap().covariance;
+        assert_eq!(covariance(125), Some([2.0, 0.0, -2.0, 2.0, 0.0, 1.0]));
+        assert_eq!(covariance(200), Some([5.0, 0.0, -5.0, 5.0, 0.0, 1.0]));
+        assert_eq!((covariance(250), covariance(300)), (None, None));
     }
 
     #[test]

@@ -52,6 +52,7 @@ fn keyframes() -> Vec<Keyframe> {
             site: "campus".into(),
             stamp_ns: i64::from(k),
             pose: Pose2 { x_m: f64::from(k), y_m: 0.1, heading_rad: -3.0 },
+            covariance: (k < 2).then_some([0.25, 0.125, 0.0, 0.5, -0.0625, f64::from(k)]),
             travel_m: 0.5 * f64::from(k),
             coverage_deg: 359.9,
         })
@@ -214,6 +215,6 @@ fn another_format_version_names_both_and_the_command() {
     writer.write(&batch).unwrap();
     writer.close().unwrap();
     let message = read_pairs(&path, &[]).unwrap_err().to_string();
-    assert!(message.contains("format version 99, this program reads version 2"), "{message}");
+    assert!(message.contains("format version 99, this program reads version 3"), "{message}");
     assert!(message.contains("`loopboost label PIPELINE.toml --out DIR`"), "{message}");
 }

@@ -8,7 +8,7 @@
 mod support;
 
 use dataset::Pose2;
-use fuse::{Options, fuse};
+use fuse::{Inertial, Options, fuse, yaw_rates_rad_s};
 use support::{Drive, Errors, Logged, drive, nees, winding_on};
 
 fn main() {
@@ -29,5 +29,22 @@ fn an_hour(bencher: divan::Bencher, smooth: bool) {
     // Chi-square with 3 degrees of freedom: 1 in 1000 is beyond 16.3.
     let fused = run();
     assert!(nees(fused.poses.last().unwrap(), logged.truth.last().unwrap()) < 16.3);
+    bencher.bench_local(run);
+}
+
+/// The part of an hour that makes yaw rates of angular velocities and accelerations.
+#[divan::bench(sample_count = 10, sample_size = 1)]
+fn level(bencher: divan::Bencher) {
+    let logged = hour(&Options { track_m: 0.5, ..Options::default() });
+    let inertial = |sample: &fuse::ImuSample| Inertial {
+        stamp_ns: sample.stamp_ns,
+        angular_velocity: [0.0, 0.0, sample.yaw_rate_rad_s],
+        acceleration: Some([0.0, 0.0, 9.81]),
+    };
+    let readings: Vec<Inertial> = logged.imu.iter().map(inertial).collect();
+    let run = || yaw_rates_rad_s(&readings, &logged.wheels);
+    for (rate, sample) in run().iter().zip(&logged.imu) {
+        assert!((rate - sample.yaw_rate_rad_s).abs() < 1e-9);
+    }
     bencher.bench_local(run);
 }

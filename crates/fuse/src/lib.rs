@@ -45,7 +45,7 @@ mod steps;
 use dataset::{Dropped, Pose2, wrap_angle};
 use serde::{Deserialize, Serialize};
 
-pub use level::{up, yaw_rate_rad_s};
+pub use level::{Inertial, yaw_rates_rad_s};
 pub use options::{OptionError, Options};
 pub use samples::{ImuSample, WheelSample};
 

@@ -14,8 +14,8 @@ pub struct WheelSample {
 pub struct ImuSample {
     /// \[ns since the epoch\]
     pub stamp_ns: i64,
-    /// Counter-clockwise seen from above; [`yaw_rate_rad_s`](crate::yaw_rate_rad_s) levels an IMU
-    /// that is mounted tilted \[rad/s\].
+    /// Counter-clockwise seen from above; [`yaw_rates_rad_s`](crate::yaw_rates_rad_s) levels an
+    /// IMU that leans \[rad/s\].
     pub yaw_rate_rad_s: f64,
     /// Counter-clockwise from a fixed direction, of a compass, an attitude and heading reference
     /// or a fibre-optic gyroscope that integrates \[rad\].

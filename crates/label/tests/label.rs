@@ -13,6 +13,7 @@ fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
         site: log.into(),
         stamp_ns: i64::from(scan),
         pose: Pose2 { x_m, y_m, heading_rad: 0.0 },
+        covariance: None,
         travel_m: 100.0 * f64::from(scan),
         coverage_deg: 360.0,
     }

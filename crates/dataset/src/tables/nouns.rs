@@ -58,10 +58,7 @@ pub fn write_poses(
         ("y_m", floats(poses.iter().map(|p| p.pose.y_m))),
         ("heading_rad", floats(poses.iter().map(|p| p.pose.heading_rad))),
     ];
-    for (k, name) in COVARIANCE.into_iter().enumerate() {
-        let entry = poses.iter().map(|p| p.covariance.map(|covariance| covariance[k]));
-        columns.push((name, Arc::new(entry.collect::<Float64Array>())));
-    }
+    columns.extend(covariance_columns(poses.iter().map(|p| p.covariance)));
     write_table(path, "poses", provenance, &batch(columns, &COVARIANCE))
 }
 
@@ -73,26 +70,39 @@ pub fn read_poses(path: &Path) -> Result<(Trajectory, Provenance)> {
     let x = columns.numbers::<Float64Type>("x_m")?;
     let y = columns.numbers::<Float64Type>("y_m")?;
     let heading = columns.numbers::<Float64Type>("heading_rad")?;
-    let entries = COVARIANCE
-        .iter()
-        .map(|name| columns.nullable_numbers::<Float64Type>(name))
-        .collect::<Result<Vec<_>>>()?;
+    let covariances = covariances(&columns)?;
     let poses = (0..batch.num_rows())
         .map(|row| StampedPose {
             stamp_ns: stamps.value(row),
             pose: Pose2 { x_m: x.value(row), y_m: y.value(row), heading_rad: heading.value(row) },
-            covariance: entries
-                .iter()
-                .all(|entry| entry.is_valid(row))
-                .then(|| std::array::from_fn(|k| entries[k].value(row))),
+            covariance: covariances[row],
         })
         .collect();
     Ok((Trajectory::new(poses).0, provenance))
 }
 
+fn covariance_columns(
+    covariances: impl Iterator<Item = Option<[f64; 6]>> + Clone,
+) -> impl Iterator<Item = (&'static str, ArrayRef)> {
+    COVARIANCE.into_iter().enumerate().map(move |(k, name)| {
+        let entry = covariances.clone().map(|covariance| covariance.map(|entries| entries[k]));
+        (name, Arc::new(entry.collect::<Float64Array>()) as ArrayRef)
+    })
+}
+
+fn covariances(columns: &Columns<'_>) -> Result<Vec<Option<[f64; 6]>>> {
+    let entries = COVARIANCE
+        .iter()
+        .map(|name| columns.nullable_numbers::<Float64Type>(name))
+        .collect::<Result<Vec<_>>>()?;
+    let is_known = |row| entries.iter().all(|entry| entry.is_valid(row));
+    let of_row = |row| is_known(row).then(|| std::array::from_fn(|k| entries[k].value(row)));
+    Ok((0..entries[0].len()).map(of_row).collect())
+}
+
 /// Writes `keyframes.parquet`.
 pub fn write_keyframes(path: &Path, provenance: &Provenance, keyframes: &[Keyframe]) -> Result<()> {
-    let columns: Vec<(&str, ArrayRef)> = vec![
+    let mut columns: Vec<(&str, ArrayRef)> = vec![
         ("log", strings(keyframes.iter().map(|k| &*k.id.log))),
         ("scan", Arc::new(UInt32Array::from_iter_values(keyframes.iter().map(|k| k.id.scan)))),
         ("stamp_ns", Arc::new(Int64Array::from_iter_values(keyframes.iter().map(|k| k.stamp_ns)))),
@@ -106,7 +116,8 @@ pub fn write_keyframes(path: &Path, provenance: &Provenance, keyframes: &[Keyfra
         ),
         ("site", strings(keyframes.iter().map(|k| &*k.site))),
     ];
-    write_table(path, "keyframes", provenance, &batch(columns, &[]))
+    columns.extend(covariance_columns(keyframes.iter().map(|k| k.covariance)));
+    write_table(path, "keyframes", provenance, &batch(columns, &COVARIANCE))
 }
 
 /// Reads `keyframes.parquet`.
@@ -121,6 +132,7 @@ pub fn read_keyframes(path: &Path) -> Result<(Vec<Keyframe>, Provenance)> {
     let travel = columns.numbers::<Float64Type>("travel_m")?;
     let coverage = columns.numbers::<Float32Type>("coverage_deg")?;
     let sites = columns.strings("site")?;
+    let covariances = covariances(&columns)?;
     let mut names = Names::default();
     let keyframes = ids
         .into_iter()
@@ -130,6 +142,7 @@ pub fn read_keyframes(path: &Path) -> Result<(Vec<Keyframe>, Provenance)> {
             site: names.intern(sites.value(row)),
             stamp_ns: stamps.value(row),
             pose: Pose2 { x_m: x.value(row), y_m: y.value(row), heading_rad: heading.value(row) },
+            covariance: covariances[row],
             travel_m: travel.value(row),
             coverage_deg: coverage.value(row),
         })

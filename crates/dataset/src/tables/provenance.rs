@@ -6,7 +6,7 @@ use serde_json::Value;
 use crate::Dropped;
 
 /// Version of the table formats; a table of another version is not read.
-pub const FORMAT_VERSION: u32 = 2;
+pub const FORMAT_VERSION: u32 = 3;
 
 /// Where a table comes from; it travels in the table's key-value metadata.
 ///
