@@ -1,14 +1,14 @@
 //! Pose messages -> stamped poses in the plane.
 
 use dataset::{Pose2, StampedPose};
-use messages::{Source, read_pose};
+use messages::{Source, read_pose_and_covariance};
 
 /// A quaternion whose norm is farther from 1 than this is no orientation.
 const MAX_NORM_ERROR: f64 = 0.01;
 
 /// Reads one pose; the error says what is wrong with the message ("that ...").
 pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, String> {
-    let pose = read_pose(source, data).map_err(|error| {
+    let (pose, covariance) = read_pose_and_covariance(source, data).map_err(|error| {
         format!("that do not decode as {} ({})", source.message_type.name(), error.kind())
     })?;
     if !pose.position.iter().all(|v| v.is_finite()) {
@@ -19,7 +19,17 @@ pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, S
         y_m: pose.position[1],
         heading_rad: yaw_rad(unit_quaternion(pose.orientation)?),
     };
-    Ok(StampedPose::new(pose.stamp_ns, planar))
+    let covariance = covariance.as_ref().and_then(planar_covariance);
+    Ok(StampedPose { stamp_ns: pose.stamp_ns, pose: planar, covariance })
+}
+
+/// Of (x, y, z, rotation about x, y, z), (6, 6) row by row, what bears on x, y and heading: xx, xy,
+/// xh, yy, yh, hh. None where it is not known, which messages tell by zeros or a negative variance.
+fn planar_covariance(full: &[f64; 36]) -> Option<[f64; 6]> {
+    let planar = [full[0], full[1], full[5], full[7], full[11], full[35]];
+    let is_known = planar.iter().all(|v| v.is_finite())
+        && [planar[0], planar[3], planar[5]].iter().all(|variance| 0.0 < *variance);
+    is_known.then_some(planar)
 }
 
 /// A quaternion of length 1, of one that is nearly so; the error says what it is ("with ...").
@@ -43,7 +53,7 @@ pub(crate) fn yaw_rad([x, y, z, w]: [f64; 4]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use messages::ros::{write_odometry, write_pose_stamped};
+    use messages::ros::{write_odometry, write_pose_stamped, write_pose_with_covariance_stamped};
     use messages::{Encoding, MessageType, Odometry, StampedPose3};
 
     fn read(orientation: [f64; 4], x: f64) -> Result<StampedPose, String> {
@@ -76,6 +86,31 @@ mod tests {
         let (s, c) = 10f64.to_radians().sin_cos();
         let pose = read([-half * s, half * s, half * c, half * c], 1.0).unwrap();
         assert!((pose.pose.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+    }
+
+    /// Entry (i, j) is 10 i + j: x, y and the rotation about z are rows 0, 1 and 5.
+    #[test]
+    fn the_covariance_of_the_plane_is_taken_where_it_is_known() {
+        let mut covariance = [0.0; 36];
+        for (k, entry) in covariance.iter_mut().enumerate() {
+            *entry = (10 * (k / 6) + k % 6) as f64;
+        }
+        let read = |covariance: &[f64; 36]| {
+            let pose = StampedPose3 {
+                stamp_ns: 9,
+                position: [1.0, 2.0, 3.0],
+                orientation: [0.0, 0.0, 0.0, 1.0],
+            };
+            let bytes = write_pose_with_covariance_stamped(Encoding::Cdr, "map", &pose, covariance);
+            let message_type = MessageType::PoseWithCovarianceStamped;
+            let source = Source { message_type, encoding: Encoding::Cdr };
+            stamped_pose(source, &bytes).unwrap().covariance
+        };
+        assert_eq!(read(&covariance), None, "the variance of x is 0");
+        covariance[0] = 0.5;
+        assert_eq!(read(&covariance), Some([0.5, 1.0, 5.0, 11.0, 15.0, 55.0]));
+        covariance[35] = f64::NAN;
+        assert_eq!(read(&covariance), None);
     }
 
     #[test]

@@ -26,7 +26,7 @@ pub use nouns::{Imu, JointState, LaserScan, NavSatFix, Odometry, StampedPose3, T
 pub use point_cloud::{Column, PointCloud, PointField, Scalar};
 pub use read::{
     read_imu, read_joint_state, read_laser_scan, read_nav_sat_fix, read_odometry, read_point_cloud,
-    read_pose, read_transforms, read_velodyne,
+    read_pose, read_pose_and_covariance, read_transforms, read_velodyne,
 };
 pub use ros::VelodyneScan;
 pub use source::{Encoding, MessageType, Source};

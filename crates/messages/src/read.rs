@@ -32,6 +32,15 @@ pub fn read_pose(source: Source, bytes: &[u8]) -> Result<StampedPose3> {
     pose(source, bytes).map(|decoded| decoded.value)
 }
 
+/// Reads a pose as [`read_pose`] does, and its covariance where the type has one: that of (x, y, z,
+/// rotation about x, y, z), (6, 6) row by row \[m, rad\].
+pub fn read_pose_and_covariance(
+    source: Source,
+    bytes: &[u8],
+) -> Result<(StampedPose3, Option<[f64; 36]>)> {
+    pose_and_covariance(source, bytes).map(|decoded| decoded.value)
+}
+
 /// Reads a `nav_msgs/Odometry` with its velocities.
 pub fn read_odometry(source: Source, bytes: &[u8]) -> Result<Odometry> {
     odometry(source, bytes).map(|decoded| decoded.value)
@@ -85,14 +94,25 @@ pub(crate) fn point_cloud(source: Source, bytes: &[u8]) -> Result<Decoded<PointC
 }
 
 pub(crate) fn pose(source: Source, bytes: &[u8]) -> Result<Decoded<StampedPose3>> {
+    Ok(pose_and_covariance(source, bytes)?.map(|(pose, _)| pose))
+}
+
+fn pose_and_covariance(
+    source: Source,
+    bytes: &[u8],
+) -> Result<Decoded<(StampedPose3, Option<[f64; 36]>)>> {
     let encoding = source.encoding;
-    match source.message_type {
-        MessageType::PoseStamped => ros::pose(encoding, bytes),
-        MessageType::PoseWithCovarianceStamped => ros::pose_with_covariance(encoding, bytes),
-        MessageType::Odometry => Ok(ros::odometry(encoding, bytes)?.map(|odometry| odometry.pose)),
-        MessageType::FoxglovePoseInFrame => foxglove::pose(encoding, bytes),
-        found => Err(MessageError::WrongType { expected: "pose", found }),
-    }
+    Ok(match source.message_type {
+        MessageType::PoseStamped => ros::pose(encoding, bytes)?.map(|pose| (pose, None)),
+        MessageType::PoseWithCovarianceStamped => ros::pose_with_covariance(encoding, bytes)?
+            .map(|(pose, covariance)| (pose, Some(covariance))),
+        MessageType::Odometry => ros::odometry(encoding, bytes)?
+            .map(|odometry| (odometry.pose, Some(odometry.pose_covariance))),
+        MessageType::FoxglovePoseInFrame => {
+            foxglove::pose(encoding, bytes)?.map(|pose| (pose, None))
+        }
+        found => return Err(MessageError::WrongType { expected: "pose", found }),
+    })
 }
 
 fn odometry(source: Source, bytes: &[u8]) -> Result<Decoded<Odometry>> {

@@ -58,10 +58,10 @@ pub(crate) fn pose(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<StampedPo
 pub(crate) fn pose_with_covariance(
     encoding: Encoding,
     bytes: &[u8],
-) -> Result<Decoded<StampedPose3>> {
+) -> Result<Decoded<(StampedPose3, [f64; 36])>> {
     const TYPE: MessageType = MessageType::PoseWithCovarianceStamped;
     let decoded = decode::<PoseWithCovarianceStampedWire>(TYPE, encoding, bytes)?;
-    Ok(decoded.map(|wire| wire.pose.stamped(&wire.header)))
+    Ok(decoded.map(|wire| (wire.pose.stamped(&wire.header), flat_of(&wire.covariance))))
 }
 
 pub(crate) fn odometry(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Odometry>> {
