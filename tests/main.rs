@@ -4,6 +4,7 @@ mod batch;
 mod encodings;
 mod errors;
 mod import;
+mod poses;
 mod real_logs;
 mod resume;
 mod run;

@@ -9,6 +9,7 @@ mod tables;
 
 use dataset::{BoostingRound, Dropped, Keyframe, Label, Pair, Scores};
 
+pub use figures::path_svg;
 pub use metrics::{Confusion, OperatingPoint, PrPoint, operating_points, precision_recall};
 pub use report::{Fact, report};
 pub use tables::write_tables;

@@ -6,7 +6,7 @@ use dataset::tables::Provenance;
 use dataset::{Label, Scores};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::figures::{Axis, Chart, N_STYLES, Series, map};
+use crate::figures::{Axis, Chart, N_STYLES, Series, map, paths};
 use crate::metrics::operating_points;
 use crate::{ErrorRow, Evaluation, Input, PRECISION_RECALL_ROUNDS};
 
@@ -55,6 +55,7 @@ pub fn report(
                     }
                     (selection(input))
                     (maps(input))
+                    section { h2 { "Paths" } (paths(input.keyframes)) }
                     (origins(input, facts))
                 }
             }

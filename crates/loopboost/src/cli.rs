@@ -6,6 +6,7 @@ use dataset::Dropped;
 
 use crate::config::Config;
 use crate::import::ImportArgs;
+use crate::inspect::InspectArgs;
 use crate::run::{Mode, Run};
 use crate::{inspect, lineage, models, pipeline, stages};
 
@@ -58,16 +59,7 @@ enum Command {
     /// Scores -> evaluation/, report.html
     Evaluate(PipelineArgs),
     /// Tell what a log holds and which pipeline would fit it
-    Inspect {
-        /// An MCAP log, or a folder with one drive that was split into several
-        log: PathBuf,
-        /// Write the pipeline to a new file
-        #[arg(long, value_name = "FILE.toml")]
-        write: Option<PathBuf>,
-        /// Print JSON
-        #[arg(long)]
-        json: bool,
-    },
+    Inspect(InspectArgs),
     /// Turn a recording in another format into an MCAP log
     Import(ImportArgs),
     /// Tell what an artifact was made from, up to the logs
@@ -187,7 +179,7 @@ impl Cli {
             Command::Featurize(args) => args.execute(always, true, stages::featurize::run),
             Command::Train(args) => args.execute(always, true, stages::train::run),
             Command::Evaluate(args) => args.execute(always, true, stages::evaluate::run),
-            Command::Inspect { log, write, json } => inspect::inspect(&log, write.as_deref(), json),
+            Command::Inspect(args) => inspect::inspect(&args),
             Command::Import(args) => args.execute(),
             Command::Log { artifact } => done(lineage::log(&artifact)),
             Command::Verify { folder, pipeline } => {

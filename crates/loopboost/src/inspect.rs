@@ -1,21 +1,42 @@
 //! `inspect`: what a log holds, what is wrong with it, and which pipeline would fit it.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
-use dataset::{Dropped, FULL_RING_DEG};
-use ingest::{
-    ClockSurvey, Content, HORIZONTAL_LASER, MessageType, PacketsSurvey, Survey, TopicSurvey, survey,
-};
+use dataset::Dropped;
+use ingest::{ClockSurvey, Content, HORIZONTAL_LASER, PacketsSurvey, Survey, TopicSurvey, survey};
 use serde_json::json;
 
+use crate::fit::Fit;
 use crate::logs::{self, LogFile};
+use crate::plot;
 use crate::run::progress_bar;
 use crate::stages::ingest::open;
 
-/// Prints what a log holds; writes a pipeline for it if asked to.
-pub(crate) fn inspect(path: &Path, write: Option<&Path>, as_json: bool) -> Result<Dropped> {
+/// What `inspect` is asked for besides a word on the log.
+#[derive(clap::Args)]
+pub(crate) struct InspectArgs {
+    /// An MCAP log, or a folder with one drive that was split into several
+    log: PathBuf,
+    /// Write the pipeline to a new file
+    #[arg(long, value_name = "FILE.toml")]
+    write: Option<PathBuf>,
+    /// Draw the path that the pipeline gives: poses, how well they are known, and the scans kept
+    #[arg(long, value_name = "FILE.svg")]
+    plot: Option<PathBuf>,
+    /// Make the poses of wheels that are this far apart [m] and of the imu, even where the log has
+    /// poses
+    #[arg(long, value_name = "METRES")]
+    track_m: Option<f64>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Prints what a log holds; writes a pipeline for it and draws its path if asked to.
+pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
+    let InspectArgs { log: path, write, plot, track_m, json: as_json } = args;
+    let (write, as_json) = (write.as_deref(), *as_json);
     let drive = drive(path)?;
     let (logs, lost) = open(&drive)?;
     let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
@@ -23,7 +44,7 @@ pub(crate) fn inspect(path: &Path, write: Option<&Path>, as_json: bool) -> Resul
     let mut survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
     progress.finish_and_clear();
     survey.dropped.merge(lost);
-    let fit = Fit::of(&survey);
+    let fit = Fit::of(&survey, *track_m);
     let missing = fit.missing();
     let from = write.and_then(Path::parent);
     let pipeline = fit.lidar.map(|lidar| fit.pipeline(lidar, path, from)).transpose()?;
@@ -34,6 +55,19 @@ pub(crate) fn inspect(path: &Path, write: Option<&Path>, as_json: bool) -> Resul
     } else {
         print(path, &drive, &survey);
         missing.iter().for_each(|missing| out!("missing: {missing}"));
+    }
+    if let Some(file) = plot {
+        match &pipeline {
+            Some(pipeline) if fit.has_poses() => {
+                let notes = plot::plot(file, &drive.name, &logs, pipeline)?;
+                notes.iter().for_each(|note| eprintln!("{}: {note}", drive.name));
+                eprintln!("drew {}", file.display());
+            }
+            _ => {
+                let missing = missing.join("; ");
+                return Err(anyhow!("{}: no path to draw: {missing}", path.display()));
+            }
+        }
     }
     match (write, pipeline) {
         (Some(file), Some(pipeline)) => {
@@ -171,123 +205,6 @@ fn kind(topic: &TopicSurvey) -> String {
     format!("{schema}, {}", topic.encoding)
 }
 
-/// The topics that a pipeline would take.
-struct Fit<'a> {
-    lidar: Option<&'a TopicSurvey>,
-    pose: Option<&'a TopicSurvey>,
-    /// A topic of packets that give no whole turn.
-    lidar_without_turn: Option<&'a TopicSurvey>,
-}
-
-impl<'a> Fit<'a> {
-    /// Packets rather than what a driver made of them; of poses that move, the most.
-    fn of(survey: &'a Survey) -> Self {
-        let rank = |topic: &TopicSurvey| match &topic.content {
-            Content::Packets(packets) if packets.is_hdl32e && packets.n_turns > 0 => 3,
-            Content::Clouds(clouds) if !clouds.rings.is_empty() => 2,
-            Content::Scans(_) => 1,
-            _ => 0,
-        };
-        let moves = |topic: &TopicSurvey| match &topic.content {
-            Content::Poses(poses) => poses.path_m > 0.0,
-            _ => false,
-        };
-        let lidars = survey.topics.iter().filter(|topic| rank(topic) > 0);
-        let poses = survey.topics.iter().filter(|topic| moves(topic));
-        Self {
-            // Of equals the first, by name.
-            lidar: lidars.rev().max_by_key(|topic| (rank(topic), topic.n_messages)),
-            pose: poses.rev().max_by_key(|topic| topic.n_messages),
-            lidar_without_turn: survey.topics.iter().find(
-                |topic| matches!(&topic.content, Content::Packets(packets) if packets.n_turns == 0),
-            ),
-        }
-    }
-
-    fn missing(&self) -> Vec<String> {
-        let mut missing = Vec::new();
-        if let (None, Some(topic)) = (self.lidar, self.lidar_without_turn) {
-            missing.push(format!("whole turns: the packets of {} give none", topic.topic));
-        } else if self.lidar.is_none() {
-            let names = ingest::LIDAR_TYPES.map(MessageType::name).join(", ");
-            missing.push(format!("a topic that scans could come from, one of {names}"));
-        }
-        if self.pose.is_none() {
-            let names = ingest::POSE_TYPES.map(MessageType::name).join(", ");
-            missing.push(format!(
-                "a topic with poses that move, one of {names}: scans can be ingested, but not labelled"
-            ));
-        }
-        missing
-    }
-
-    /// The pipeline file; the log's path is relative to the folder `from`, where one is given.
-    fn pipeline(&self, lidar: &TopicSurvey, log: &Path, from: Option<&Path>) -> Result<String> {
-        let found = |path: &Path| {
-            path.canonicalize().with_context(|| format!("cannot find {}", path.display()))
-        };
-        let log = match from {
-            Some(folder) if folder.as_os_str().is_empty() => {
-                relative(&found(log)?, &found(Path::new("."))?)
-            }
-            Some(folder) => relative(&found(log)?, &found(folder)?),
-            None => found(log)?,
-        };
-        let mut text = format!("[ingest]\nlogs = [{:?}]\n", log.display().to_string());
-        match self.pose {
-            Some(pose) => writeln!(text, "pose.topic = {:?}", pose.topic)?,
-            None => writeln!(
-                text,
-                "# pose.topic = \"...\": the log has no poses, so that its scans cannot be labelled"
-            )?,
-        }
-        writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;
-        match &lidar.content {
-            Content::Packets(packets) => {
-                if packets.is_stamped_by_message() {
-                    writeln!(text, "clock = \"device\"   # packets of a message have one stamp")?;
-                }
-                if let Some(laser) = packets.stand_in() {
-                    writeln!(
-                        text,
-                        "laser = {laser}   # the horizontal one, {HORIZONTAL_LASER}, is dead"
-                    )?;
-                }
-            }
-            Content::Clouds(clouds) => {
-                let nearest = clouds.rings.iter().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
-                if let Some((ring, deg)) = nearest {
-                    writeln!(text, "ring = {ring}   # at {deg:.2} deg")?;
-                }
-            }
-            Content::Scans(scans) => {
-                let (near, far) = scans.range_m;
-                writeln!(text, "range_min_m = {:?}", near.max(0.0))?;
-                if near < far && far.is_finite() {
-                    writeln!(text, "range_max_m = {far:?}")?;
-                }
-                if scans.coverage_deg < f64::from(FULL_RING_DEG) {
-                    writeln!(
-                        text,
-                        "\n[label]\npositive_heading_deg = 45.0   # the scanner sees less than a full circle"
-                    )?;
-                }
-            }
-            _ => {}
-        }
-        Ok(text)
-    }
-}
-
-/// A path as seen from a folder; both are absolute.
-fn relative(path: &Path, folder: &Path) -> PathBuf {
-    let shared = path.components().zip(folder.components()).take_while(|(a, b)| a == b).count();
-    let up = folder.components().skip(shared).map(|_| "..");
-    up.map(PathBuf::from)
-        .chain(path.components().skip(shared).map(|c| PathBuf::from(c.as_os_str())))
-        .collect()
-}
-
 fn write_new(path: &Path, text: &str) -> Result<()> {
     use std::io::Write as _;
     let mut file = std::fs::File::create_new(path).map_err(|e| match e.kind() {
@@ -297,17 +214,4 @@ fn write_new(path: &Path, text: &str) -> Result<()> {
         _ => anyhow!("cannot write {}: {e}", path.display()),
     })?;
     file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn paths_are_written_as_seen_from_the_pipeline() {
-        let relative = |path, folder| relative(Path::new(path), Path::new(folder));
-        assert_eq!(relative("/data/logs/a.mcap", "/data/pipelines"), Path::new("../logs/a.mcap"));
-        assert_eq!(relative("/data/a.mcap", "/data"), Path::new("a.mcap"));
-        assert_eq!(relative("/x/a.mcap", "/data/p"), Path::new("../../x/a.mcap"));
-    }
 }

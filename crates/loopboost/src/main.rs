@@ -13,6 +13,7 @@ macro_rules! out {
 
 mod cli;
 mod config;
+mod fit;
 mod import;
 mod inspect;
 mod lineage;
@@ -21,6 +22,7 @@ mod manifest;
 mod models;
 mod options;
 mod pipeline;
+mod plot;
 mod run;
 mod stages;
 

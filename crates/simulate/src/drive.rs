@@ -27,6 +27,8 @@ pub(crate) const MARGIN_NS: i64 = 100_000_000;
 pub const SENSOR_HEIGHT_M: f64 = 0.8;
 /// Standard gravity \[m/s^2\].
 pub(crate) const GRAVITY_M_S2: f64 = 9.80665;
+/// Furniture keeps clear of the drive at places this far apart \[m\].
+const WAY_STEP_M: f64 = 0.2;
 /// The base leans into what it will do this much later, and did this much before \[s\].
 const LEAN_S: f64 = 0.35;
 /// The base never leans farther than this \[rad\].
@@ -103,13 +105,15 @@ impl Drive {
             0 => hour_ns - (HOUR_PASSED_AT * duration_ns as f64) as i64,
             _ => hour_ns + (draws.uniform(300.0, 2700.0) * 1e9) as i64,
         };
+        let n_steps = (options.length_m / WAY_STEP_M).ceil() as usize;
+        let way: Vec<Point> = (0..=n_steps).map(|k| path.at(k as f64 * WAY_STEP_M).0).collect();
         Self {
             profile: Profile::new(&path, options.length_m, options.duration_s(), &mut draws),
             path,
             rocking: Rocking::draw(options, &mut draws),
             start_ns,
             end_ns: start_ns + duration_ns,
-            world: site.day(&mut random(Purpose::Day)),
+            world: site.day(&way, &mut random(Purpose::Day)),
             people: people_of_day(site.lanes(), options.people, &mut random(Purpose::People)),
             start_azimuth_counts: draws.uniform(0.0, 36_000.0),
         }

@@ -21,6 +21,7 @@ mod drive;
 mod error;
 mod log;
 mod map;
+mod map_day;
 mod options;
 mod path;
 mod people;

@@ -14,7 +14,7 @@ use crate::random::Random;
 use crate::route::Route;
 
 /// The robot's middle keeps at least this far from whatever is not free \[m\].
-const CLEARANCE_M: f64 = 0.45;
+pub(crate) const CLEARANCE_M: f64 = 0.45;
 /// Ways avoid what is nearer than this, where they can \[m\].
 const COMFORT_M: f64 = 1.2;
 /// Every way is kept to the right by this, so that ways there and back make a loop \[m\].
@@ -26,6 +26,11 @@ const N_PLACES: usize = 6;
 /// Lanes for people: their number, and how long they are at least \[m\].
 const N_LANES: usize = 40;
 const LANE_M: f64 = 4.0;
+/// A gap in a wall between two wider places is a doorway if it is so wide \[m\].
+const DOORWAY_M: (f64, f64) = (0.7, 1.5);
+/// How far before and behind a doorway it is wider, by how much \[m, times\].
+const BEFORE_DOORWAY_M: f64 = 0.6;
+const WIDER: f64 = 1.6;
 /// Pixels of a map at most.
 const MAX_PIXELS: usize = 100_000_000;
 
@@ -168,6 +173,92 @@ impl Map {
         }
         let points: Vec<Point> = way.into_iter().map(|k| self.middle(k)).collect();
         Route::along(&points, SPACING_M, KEEP_RIGHT_M)
+    }
+
+    /// Gaps in walls between two wider places, each across where it begins.
+    pub(crate) fn doorways(&self) -> Vec<Segment> {
+        let mut doorways = Vec::new();
+        for is_upright in [false, true] {
+            let (n_u, n_v) = if is_upright { (self.n_y, self.n_x) } else { (self.n_x, self.n_y) };
+            let is_occupied = |u: usize, v: usize| match is_upright {
+                true => self.occupied[u * self.n_x + v],
+                false => self.occupied[v * self.n_x + u],
+            };
+            let point = |u: f64, v: f64| {
+                let pixels = if is_upright { Vector::new(v, u) } else { Vector::new(u, v) };
+                self.origin + pixels * self.resolution_m
+            };
+            let before = (BEFORE_DOORWAY_M / self.resolution_m).ceil() as usize;
+            // The gap that a pixel is in, as far as it is of interest.
+            let width = |u: usize, v: usize, most: usize| {
+                let right = (u..n_u).take_while(|&u| !is_occupied(u, v)).take(most).count();
+                let left = (0..u).rev().take_while(|&u| !is_occupied(u, v)).take(most).count();
+                left + right
+            };
+            let mut of_last_row: Vec<(usize, usize)> = Vec::new();
+            for v in before..n_v.saturating_sub(before) {
+                let mut of_row = Vec::new();
+                let mut from = None;
+                for u in 0..n_u {
+                    match (from, is_occupied(u, v)) {
+                        (Some(start), true) => {
+                            let n = u - start;
+                            let width_m = n as f64 * self.resolution_m;
+                            let wide = (WIDER * n as f64).ceil() as usize;
+                            let is_wider = |v| wide <= width(usize::midpoint(start, u), v, wide);
+                            if DOORWAY_M.0 <= width_m
+                                && width_m <= DOORWAY_M.1
+                                && is_wider(v - before)
+                                && is_wider(v + before)
+                            {
+                                of_row.push((start, u));
+                            }
+                            from = None;
+                        }
+                        // A gap begins behind something, not at the border.
+                        (None, false) if 0 < u && is_occupied(u - 1, v) => from = Some(u),
+                        _ => {}
+                    }
+                }
+                for &(start, end) in &of_row {
+                    if !of_last_row.iter().any(|&(a, b)| a < end && start < b) {
+                        let across = v as f64 + 0.5;
+                        let (start, end) = (point(start as f64, across), point(end as f64, across));
+                        doorways.push(Segment { start, end });
+                    }
+                }
+                of_last_row = of_row;
+            }
+        }
+        doorways
+    }
+
+    /// Floor on which a robot's middle can be \[m^2\].
+    pub(crate) fn floor_m2(&self) -> f64 {
+        let n = self.clearance_m.iter().filter(|&&clearance_m| 0.0 < clearance_m).count();
+        n as f64 * self.resolution_m * self.resolution_m
+    }
+
+    /// Any place that a robot can reach.
+    pub(crate) fn place(&self, random: &mut Random) -> Point {
+        loop {
+            // There is one, or the map would have been refused.
+            let k = random.index(self.clearance_m.len());
+            if 0.0 < self.clearance_m[k] {
+                return self.middle(k);
+            }
+        }
+    }
+
+    /// Distance of a place to what is not free; 0 where a robot cannot be \[m\].
+    pub(crate) fn clearance_at_m(&self, at: Point) -> f64 {
+        let pixels = (at - self.origin) / self.resolution_m;
+        let is_on_map =
+            0.0 <= pixels.min() && pixels.x < self.n_x as f64 && pixels.y < self.n_y as f64;
+        match is_on_map {
+            true => f64::from(self.clearance_m[pixels.y as usize * self.n_x + pixels.x as usize]),
+            false => 0.0,
+        }
     }
 
     fn places(&self) -> Vec<usize> {

@@ -19,7 +19,8 @@ pub struct Options {
     /// All drives on a campus begin at its dock, the origin of the map frame. Default: 1.
     pub buildings: u32,
     /// A map instead: the YAML file of ROS `map_server`, relative to the pipeline file; its image
-    /// must be a PGM. Walls stand where it is occupied, and the drive goes wherever there is room.
+    /// must be a PGM. Walls stand where it is occupied, and the drive goes wherever there is room;
+    /// from day to day furniture moves and doors are shut in what looks like a doorway.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub map: Option<String>,
     /// Way driven in each log \[m\]. In one building revisits begin after one block, at most

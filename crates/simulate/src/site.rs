@@ -14,6 +14,7 @@
 
 use crate::day::{building_of_day, facades, round, turned};
 use crate::map::Map;
+use crate::map_day::Loose;
 use crate::plan::{Plan, Shape, corridors};
 use crate::plane::{Point, Rect, Segment, Vector};
 use crate::random::Random;
@@ -51,7 +52,7 @@ pub(crate) struct Site {
     /// Node by node around the lanes, from the western end, the northern lane first; none for a
     /// building that stands alone.
     ring: Vec<Stop>,
-    map: Option<Map>,
+    map: Option<(Map, Loose)>,
 }
 
 /// A node of the ring.
@@ -105,16 +106,18 @@ impl Site {
         }
     }
 
-    /// A map's walls, below one ceiling.
+    /// A map's walls, below one ceiling, with doors in its doorways and furniture.
     pub(crate) fn on_map(map: Map, random: &mut Random) -> Self {
         let wall = |segment| Surface::solid(segment, (0.0, MAP_CEILING_M), MAP_REFLECTIVITY);
+        let lanes = map.lanes(random);
+        let loose = Loose::draw(&map, random);
         Self {
             buildings: Vec::new(),
             fixed: map.walls().into_iter().map(wall).collect(),
             parking: Vec::new(),
-            lanes: map.lanes(random),
+            lanes,
             ring: Vec::new(),
-            map: Some(map),
+            map: Some((map, loose)),
         }
     }
 
@@ -216,8 +219,8 @@ impl Site {
         }
     }
 
-    /// Everything that stands there on one day.
-    pub(crate) fn day(&self, random: &mut Random) -> World {
+    /// Everything that stands there on one day, on which the robot drives along `way`.
+    pub(crate) fn day(&self, way: &[Point], random: &mut Random) -> World {
         let mut surfaces = self.fixed.clone();
         let mut ceilings = Vec::new();
         for placed in &self.buildings {
@@ -226,8 +229,9 @@ impl Site {
             ceilings.push((placed.rect(&plan.building), plan.ceiling_m));
             ceilings.push((placed.rect(&plan.atrium), plan.atrium_ceiling_m));
         }
-        if let Some(map) = &self.map {
+        if let Some((map, loose)) = &self.map {
             ceilings.push((map.extent(), MAP_CEILING_M));
+            surfaces.extend(loose.day(map, way, MAP_CEILING_M, random));
         }
         for &(at, angle) in &self.parking {
             let is_taken = random.chance(PARKED_SHARE);
@@ -254,7 +258,7 @@ impl Site {
     /// The way of log number `log`.
     pub(crate) fn route(&self, log: usize, random: &mut Random) -> Route {
         let is_clockwise = log % 2 == 1;
-        if let Some(map) = &self.map {
+        if let Some((map, _)) = &self.map {
             return map.route(is_clockwise, random);
         }
         match self.ring.is_empty() {

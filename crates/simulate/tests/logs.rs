@@ -87,13 +87,17 @@ fn packets(log: &Log) -> impl Iterator<Item = (i64, Packet<'_>)> {
 
 #[test]
 fn same_seed_same_bytes_on_any_number_of_threads() {
-    let options = Options { length_m: 12.0, ..Options::default() };
-    let campus = |seed| Campus::new(&options, seed).unwrap();
-    let bytes = on_threads(1, &campus(7));
-    assert!(bytes == on_threads(2, &campus(7)), "1 and 2 threads differ");
-    assert!(bytes == write(&campus(7), 0).0, "the second time differs");
-    assert!(bytes != on_threads(1, &campus(8)), "seeds 7 and 8 do not differ");
-    assert!(bytes != write(&campus(7), 1).0, "logs 0 and 1 do not differ");
+    // A building, and a campus with people, parked cars and all lasers.
+    for (buildings, lasers) in [(1, Lasers::Three), (3, Lasers::All)] {
+        let options = Options { length_m: 12.0, buildings, lasers, ..Options::default() };
+        let campus = |seed| Campus::new(&options, seed).unwrap();
+        let bytes = on_threads(1, &campus(7));
+        assert!(bytes == on_threads(2, &campus(7)), "1 and 2 threads differ");
+        assert!(bytes == on_threads(5, &campus(7)), "1 and 5 threads differ");
+        assert!(bytes == write(&campus(7), 0).0, "the second time differs");
+        assert!(bytes != on_threads(1, &campus(8)), "seeds 7 and 8 do not differ");
+        assert!(bytes != write(&campus(7), 1).0, "logs 0 and 1 do not differ");
+    }
 }
 
 #[test]

@@ -88,7 +88,7 @@ fn counted(n: usize, what: &str) -> String {
 }
 
 /// A round length of about a fifth of the map \[m\].
-fn scale_bar_m(width_m: f64) -> f64 {
+pub(super) fn scale_bar_m(width_m: f64) -> f64 {
     let target = (width_m / 5.0).max(1.0);
     let decade = 10f64.powf(target.log10().floor());
     let step = [5.0, 2.0, 1.0].into_iter().find(|s| s * decade <= target).unwrap_or(1.0);

@@ -3,9 +3,12 @@
 
 mod chart;
 mod map;
+mod path;
 
 pub(crate) use chart::{Axis, Chart, Series};
 pub(crate) use map::map;
+pub use path::path_svg;
+pub(crate) use path::paths;
 
 /// Number of line styles that the page's style sheet has (`.series-0` ...).
 pub(crate) const N_STYLES: usize = 5;

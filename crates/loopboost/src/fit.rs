@@ -1,0 +1,219 @@
+//! Which pipeline would fit a log.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result};
+use dataset::FULL_RING_DEG;
+use ingest::{Content, HORIZONTAL_LASER, MessageType, Survey, TopicSurvey};
+
+/// The topics that a pipeline would take.
+pub(crate) struct Fit<'a> {
+    pub(crate) lidar: Option<&'a TopicSurvey>,
+    pose: Option<&'a TopicSurvey>,
+    /// Wheels and an imu that poses could be made of, where there are none or the track is given.
+    wheels: Option<(&'a TopicSurvey, Option<&'a TopicSurvey>)>,
+    track_m: Option<f64>,
+    /// A topic of packets that give no whole turn.
+    lidar_without_turn: Option<&'a TopicSurvey>,
+}
+
+impl<'a> Fit<'a> {
+    /// Packets rather than what a driver made of them; of poses that move, the most.
+    pub(crate) fn of(survey: &'a Survey, track_m: Option<f64>) -> Self {
+        let rank = |topic: &TopicSurvey| match &topic.content {
+            Content::Packets(packets) if packets.is_hdl32e && packets.n_turns > 0 => 3,
+            Content::Clouds(clouds) if !clouds.rings.is_empty() => 2,
+            Content::Scans(_) => 1,
+            _ => 0,
+        };
+        let moves = |topic: &TopicSurvey| match &topic.content {
+            Content::Poses(poses) => poses.path_m > 0.0,
+            _ => false,
+        };
+        let lidars = survey.topics.iter().filter(|topic| rank(topic) > 0);
+        let poses = survey.topics.iter().filter(|topic| moves(topic));
+        let is_one_of = |topic: &TopicSurvey, types: &[MessageType]| {
+            let name = topic.schema.rsplit('/').next().unwrap_or_default();
+            topic.n_messages > 0 && types.iter().any(|of| of.name() == name)
+        };
+        let most = |types: &[MessageType]| {
+            let fitting = survey.topics.iter().rev().filter(|topic| is_one_of(topic, types));
+            fitting.max_by_key(|topic| topic.n_messages)
+        };
+        let pose = poses.rev().max_by_key(|topic| topic.n_messages);
+        // Joints rather than an odometry that a driver made of them.
+        let wheels = ingest::WHEEL_TYPES.iter().find_map(|of| most(&[*of]));
+        let imu = most(&ingest::IMU_TYPES);
+        let is_wanted = pose.is_none() || track_m.is_some();
+        Self {
+            // Of equals the first, by name.
+            lidar: lidars.rev().max_by_key(|topic| (rank(topic), topic.n_messages)),
+            pose: pose.filter(|_| track_m.is_none() || wheels.is_none()),
+            wheels: wheels.filter(|_| is_wanted).map(|wheels| (wheels, imu)),
+            track_m,
+            lidar_without_turn: survey.topics.iter().find(
+                |topic| matches!(&topic.content, Content::Packets(packets) if packets.n_turns == 0),
+            ),
+        }
+    }
+
+    pub(crate) fn missing(&self) -> Vec<String> {
+        let mut missing = Vec::new();
+        if let (None, Some(topic)) = (self.lidar, self.lidar_without_turn) {
+            missing.push(format!("whole turns: the packets of {} give none", topic.topic));
+        } else if self.lidar.is_none() {
+            let names = ingest::LIDAR_TYPES.map(MessageType::name).join(", ");
+            missing.push(format!("a topic that scans could come from, one of {names}"));
+        }
+        if let (Some((wheels, _)), None) = (self.wheels, self.track_m) {
+            missing.push(format!(
+                "the distance between the wheels of {}, of which poses can be made: measure it and give it with --track-m",
+                wheels.topic
+            ));
+        } else if self.pose.is_none() && self.wheels.is_none() {
+            let names = ingest::POSE_TYPES.map(MessageType::name).join(", ");
+            missing.push(format!(
+                "a topic with poses that move, one of {names}: scans can be ingested, but not labelled"
+            ));
+        }
+        missing
+    }
+
+    pub(crate) fn has_poses(&self) -> bool {
+        self.pose.is_some() || (self.wheels.is_some() && self.track_m.is_some())
+    }
+
+    /// The pipeline file; the log's path is relative to the folder `from`, where one is given.
+    pub(crate) fn pipeline(
+        &self,
+        lidar: &TopicSurvey,
+        log: &Path,
+        from: Option<&Path>,
+    ) -> Result<String> {
+        let found = |path: &Path| {
+            path.canonicalize().with_context(|| format!("cannot find {}", path.display()))
+        };
+        let log = match from {
+            Some(folder) if folder.as_os_str().is_empty() => {
+                relative(&found(log)?, &found(Path::new("."))?)
+            }
+            Some(folder) => relative(&found(log)?, &found(folder)?),
+            None => found(log)?,
+        };
+        let mut text = format!("[ingest]\nlogs = [{:?}]\n", log.display().to_string());
+        match (self.pose, self.wheels) {
+            (Some(pose), _) => writeln!(text, "pose.topic = {:?}", pose.topic)?,
+            (None, Some((wheels, imu))) => {
+                writeln!(text, "\n[ingest.pose]\nwheels = {:?}", wheels.topic)?;
+                if let Some(imu) = imu {
+                    writeln!(text, "imu = {:?}", imu.topic)?;
+                }
+                match self.track_m {
+                    Some(track_m) => writeln!(text, "track_m = {track_m:?}")?,
+                    None => writeln!(
+                        text,
+                        "# track_m = 0.5   # measure it: between the contact points of the wheels [m]"
+                    )?,
+                }
+            }
+            (None, None) => writeln!(
+                text,
+                "# pose.topic = \"...\": the log has no poses, so that its scans cannot be labelled"
+            )?,
+        }
+        writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;
+        match &lidar.content {
+            Content::Packets(packets) => {
+                if packets.is_stamped_by_message() {
+                    writeln!(text, "clock = \"device\"   # packets of a message have one stamp")?;
+                }
+                if let Some(laser) = packets.stand_in() {
+                    writeln!(
+                        text,
+                        "laser = {laser}   # the horizontal one, {HORIZONTAL_LASER}, is dead"
+                    )?;
+                }
+            }
+            Content::Clouds(clouds) => {
+                let nearest = clouds.rings.iter().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+                if let Some((ring, deg)) = nearest {
+                    writeln!(text, "ring = {ring}   # at {deg:.2} deg")?;
+                }
+            }
+            Content::Scans(scans) => {
+                let (near, far) = scans.range_m;
+                writeln!(text, "range_min_m = {:?}", near.max(0.0))?;
+                if near < far && far.is_finite() {
+                    writeln!(text, "range_max_m = {far:?}")?;
+                }
+                if scans.coverage_deg < f64::from(FULL_RING_DEG) {
+                    writeln!(
+                        text,
+                        "\n[label]\npositive_heading_deg = 45.0   # the scanner sees less than a full circle"
+                    )?;
+                }
+            }
+            _ => {}
+        }
+        Ok(text)
+    }
+}
+
+/// A path as seen from a folder; both are absolute.
+fn relative(path: &Path, folder: &Path) -> PathBuf {
+    let shared = path.components().zip(folder.components()).take_while(|(a, b)| a == b).count();
+    let up = folder.components().skip(shared).map(|_| "..");
+    up.map(PathBuf::from)
+        .chain(path.components().skip(shared).map(|c| PathBuf::from(c.as_os_str())))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn topic(name: &str, schema: &str, n_messages: u64, content: Content) -> TopicSurvey {
+        let (topic, schema, encoding) = (name.to_owned(), schema.to_owned(), "cdr".to_owned());
+        TopicSurvey { topic, schema, encoding, n_messages, rate_hz: None, content }
+    }
+
+    /// A log without poses: its wheels and imu make some, once the track is given.
+    #[test]
+    fn wheels_and_imu_stand_in_for_poses() {
+        let scans = ingest::ScansSurvey { coverage_deg: 360.0, ..Default::default() };
+        let topics = vec![
+            topic("/imu", "sensor_msgs/msg/Imu", 100, Content::Other),
+            topic("/joints", "sensor_msgs/msg/JointState", 50, Content::Other),
+            topic("/odom", "nav_msgs/msg/Odometry", 500, Content::Poses(Default::default())),
+            topic("/scan", "sensor_msgs/msg/LaserScan", 10, Content::Scans(scans)),
+        ];
+        let mut survey = Survey { topics, ..Survey::default() };
+        let log = std::env::current_exe().unwrap();
+        let written = |survey: &Survey, track_m| {
+            let fit = Fit::of(survey, track_m);
+            let text = fit.pipeline(fit.lidar.unwrap(), &log, None).unwrap();
+            (fit.missing(), fit.has_poses(), text)
+        };
+        let (missing, has_poses, text) = written(&survey, None);
+        assert!(!has_poses && missing[0].contains("the distance between the wheels of /joints"));
+        assert!(text.contains("wheels = \"/joints\"\nimu = \"/imu\"\n# track_m"), "{text}");
+        let (missing, has_poses, text) = written(&survey, Some(0.4));
+        assert!(has_poses && missing.is_empty(), "{missing:?}");
+        assert!(text.contains("imu = \"/imu\"\ntrack_m = 0.4\n"), "{text}");
+        // Poses that move are taken as they are, unless the track is given.
+        let moving = ingest::PosesSurvey { path_m: 3.0, ..Default::default() };
+        survey.topics[2].content = Content::Poses(moving);
+        let (missing, _, text) = written(&survey, None);
+        assert!(missing.is_empty() && text.contains("pose.topic = \"/odom\""), "{text}");
+        assert!(written(&survey, Some(0.4)).2.contains("wheels = \"/joints\""));
+    }
+
+    #[test]
+    fn paths_are_written_as_seen_from_the_pipeline() {
+        let relative = |path, folder| relative(Path::new(path), Path::new(folder));
+        assert_eq!(relative("/data/logs/a.mcap", "/data/pipelines"), Path::new("../logs/a.mcap"));
+        assert_eq!(relative("/data/a.mcap", "/data"), Path::new("a.mcap"));
+        assert_eq!(relative("/x/a.mcap", "/data/p"), Path::new("../../x/a.mcap"));
+    }
+}

@@ -1,0 +1,86 @@
+//! The path of a log, drawn, and what docs/poses.md says of it.
+
+use std::fs;
+
+use crate::support::{Workplace, loopboost, root};
+
+const DRIVE: &str = r#"
+seed = 7
+[simulate]
+logs = ["one"]
+length_m = 10.0
+people = 0
+[ingest]
+pose.topic = "/ground_truth"
+"#;
+
+#[test]
+fn inspect_draws_the_path_and_what_is_known_of_it() {
+    let workplace = Workplace::new(DRIVE);
+    workplace.command("simulate", "out", &[]).expect(0);
+    let log = workplace.path("out/logs/one.mcap");
+    let (log, drawn) = (log.to_str().unwrap(), workplace.path("one.svg"));
+    let plot = |more: &[&str]| {
+        let args = [&["inspect", log, "--plot", drawn.to_str().unwrap()], more].concat();
+        let finished = loopboost(&args).expect(0);
+        (finished.stderr, fs::read_to_string(&drawn).unwrap())
+    };
+    // 10 m of true poses, which do not tell how well they are known. At 2 m/s and 10 Hz every third
+    // scan is 0.5 m on: 0.6 m apart, 16 or 17, or some more where it is slower.
+    let (_, svg) = plot(&[]);
+    assert!(svg.contains("class=\"path-line\"") && !svg.contains("class=\"path-sure\""), "{svg}");
+    let n_kept = svg.matches(", scan ").count();
+    assert!((16..=20).contains(&n_kept), "{n_kept} scans");
+    // The same, fused from wheels and imu.
+    let (said, svg) = plot(&["--track-m", "0.5"]);
+    assert!(said.contains("poses fused from"), "{said}");
+    assert!(10 < svg.matches("class=\"path-sure\"").count(), "{svg}");
+    let other = loopboost(&["inspect", log, "--plot", "one.png"]).expect(1);
+    assert!(other.stderr.contains("ends in .svg"), "{}", other.stderr);
+}
+
+/// Files and options that docs/poses.md names are there.
+#[test]
+fn what_the_page_on_poses_names_is_there() {
+    let page = fs::read_to_string(root().join("docs/poses.md")).unwrap();
+    let mut n_files = 0;
+    for word in page.split('`').skip(1).step_by(2) {
+        for path in word.split_whitespace().filter(|path| {
+            ["crates/", "docs/", "tests/"].iter().any(|folder| path.starts_with(folder))
+        }) {
+            assert!(root().join(path).exists(), "`{path}` is not there");
+            n_files += 1;
+        }
+    }
+    assert!(5 <= n_files, "{n_files} files named");
+    let options = page.split("```toml\n").nth(1).unwrap().split("```").next().unwrap();
+    let pipeline = format!("[ingest]\nlogs = [\"a.mcap\"]\nlidar.topic = \"/a\"\n{options}");
+    let workplace = Workplace::new(&pipeline);
+    let finished = workplace.command("run", "out", &["--print-config"]).expect(0);
+    // Every key is known, and its value is the one that the page gives.
+    for line in options.lines().filter(|line| line.contains(" = ") && !line.contains('{')) {
+        let line = line.split('#').next().unwrap().trim();
+        let (key, value) = line.split_once(" = ").unwrap();
+        let is_it = |printed: &str| {
+            printed.split_once(" = ").is_some_and(|(k, v)| {
+                k == key && (v == value || v.parse::<f64>().ok() == value.parse::<f64>().ok())
+            })
+        };
+        assert!(finished.stdout.lines().any(is_it), "`{line}` is not in {}", finished.stdout);
+    }
+    // Columns that it names are those that are written.
+    let workplace = Workplace::new(DRIVE);
+    workplace.command("simulate", "out", &[]).expect(0);
+    workplace.command("ingest", "out", &[]).expect(0);
+    workplace.command("subsample", "out", &[]).expect(0);
+    for table in ["poses/one.parquet", "keyframes.parquet"] {
+        let file = fs::File::open(workplace.path("out").join(table)).unwrap();
+        let reader =
+            parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder::try_new(file).unwrap();
+        let columns: Vec<String> =
+            reader.schema().fields().iter().map(|field| field.name().clone()).collect();
+        for name in page.split('`').filter(|word| word.starts_with("cov_")) {
+            assert!(columns.iter().any(|column| column == name), "no `{name}` in {table}");
+        }
+    }
+}
