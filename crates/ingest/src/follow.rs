@@ -18,8 +18,8 @@ pub(crate) struct Follower {
 enum How {
     /// By poses as they come.
     Poses,
-    /// By the transforms between frames, so many of which have been followed.
-    Frames(Frames, usize),
+    /// By the transforms between frames, which have been followed to a stamp.
+    Frames(Frames, i64),
     /// By wheels, with the last positions of theirs, and the sum of the accelerations so far.
     Wheels { reckoning: DeadReckoning, position: Option<(i64, f64, f64)>, sum: [f64; 3], n: u32 },
 }
@@ -27,7 +27,7 @@ enum How {
 impl Follower {
     pub(crate) fn new(options: &PoseOptions, mount: Pose2) -> Self {
         let how = match (&options.frames, &options.wheels) {
-            (Some(frames), _) => How::Frames(frames.clone(), 0),
+            (Some(frames), _) => How::Frames(frames.clone(), i64::MIN),
             (None, Some(_)) => How::Wheels {
                 reckoning: DeadReckoning::new(options.track_m.filter(|_| options.imu.is_none())),
                 position: None,
@@ -45,10 +45,10 @@ impl Follower {
         let mut push = |p: &StampedPose| track.push(p.stamp_ns, p.pose * mount);
         match &mut self.how {
             How::Poses => next.poses.iter().for_each(push),
-            How::Frames(Frames { parent, child, .. }, n_followed) => {
-                let (poses, n) = frames.motion(parent, child, *n_followed);
+            How::Frames(Frames { parent, child, .. }, followed_ns) => {
+                let poses = frames.motion(parent, child, *followed_ns);
                 poses.iter().for_each(&mut push);
-                *n_followed = n;
+                *followed_ns = poses.last().map_or(*followed_ns, |pose| pose.stamp_ns);
             }
             How::Wheels { reckoning, position, sum, n } => {
                 let positions: Vec<_> = position.iter().chain(&next.positions).copied().collect();

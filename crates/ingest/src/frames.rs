@@ -150,12 +150,7 @@ impl FrameGraph {
         let mut n_beyond = 0;
         let mut poses = Vec::with_capacity(sorted[fastest].len());
         for &(stamp_ns, _) in &sorted[fastest] {
-            let chained =
-                way.iter().zip(&sorted).try_fold(Rigid::IDENTITY, |all, (way, samples)| {
-                    let rigid = at(samples, stamp_ns)?;
-                    Some(all.then(&if way.1 { rigid.inverse() } else { rigid }))
-                });
-            match chained {
+            match chain(&way, sorted.iter().map(|samples| at(samples, stamp_ns))) {
                 Some(rigid) => poses.push(StampedPose::new(stamp_ns, rigid.planar())),
                 None => n_beyond += 1,
             }
@@ -163,37 +158,59 @@ impl FrameGraph {
         Ok((poses, n_beyond))
     }
 
-    /// How the child moves: its poses, in the frame before the transform that is told most often, at
-    /// those stamps of it that come from a number on; with the number of them there are. What lies
-    /// between that transform and the child is taken as it is now.
-    pub(crate) fn motion(
-        &self,
-        parent: &str,
-        child: &str,
-        from: usize,
-    ) -> (Vec<StampedPose>, usize) {
-        let Some(way) = self.way(parent, child) else { return (Vec::new(), 0) };
-        let Some(fastest) = self.fastest(&way) else { return (Vec::new(), 0) };
-        let oriented = |rigid: &Rigid, is_backwards: bool| match is_backwards {
-            true => rigid.inverse(),
-            false => *rigid,
-        };
-        let rest =
-            way[fastest + 1..].iter().fold(Rigid::IDENTITY, |all, (edge, is_backwards)| match self
-                .told[edge]
-                .samples
-                .last()
-            {
-                Some((_, rigid)) => all.then(&oriented(rigid, *is_backwards)),
-                None => all,
-            });
-        let (edge, is_backwards) = &way[fastest];
-        let samples = &self.told[edge].samples;
-        let poses = samples[from.min(samples.len())..].iter().map(|(stamp_ns, rigid)| {
-            StampedPose::new(*stamp_ns, oriented(rigid, *is_backwards).then(&rest).planar())
-        });
-        (poses.collect(), samples.len())
+    /// How the child moves, told while the log is being read: its poses after a stamp, up to where all
+    /// transforms that are told steadily have come. One that is told now and then, as a correction of
+    /// the map is, holds until it is told anew: only motion within moments counts.
+    pub(crate) fn motion(&self, parent: &str, child: &str, after_ns: i64) -> Vec<StampedPose> {
+        let Some(way) = self.way(parent, child) else { return Vec::new() };
+        let Some(fastest) = self.fastest(&way) else { return Vec::new() };
+        let told: Vec<&Told> = way.iter().map(|(edge, _)| &self.told[edge]).collect();
+        let newest = told.iter().filter(|told| told.is_steady()).map(|told| told.newest_ns());
+        let Some(until_ns) = newest.min() else { return Vec::new() };
+        let stamps = told[fastest].samples.iter().rev().map(|(stamp_ns, _)| *stamp_ns);
+        let mut poses: Vec<StampedPose> = stamps
+            .take_while(|&stamp_ns| after_ns < stamp_ns)
+            .filter(|&stamp_ns| stamp_ns <= until_ns)
+            .filter_map(|stamp_ns| {
+                let rigids = told.iter().map(|told| told.around(stamp_ns));
+                Some(StampedPose::new(stamp_ns, chain(&way, rigids)?.planar()))
+            })
+            .collect();
+        poses.reverse();
+        poses
     }
+}
+
+/// Transforms told at least so often, on average, are told steadily \[ns\].
+const STEADY_NS: i64 = 1_000_000_000;
+
+impl Told {
+    fn newest_ns(&self) -> i64 {
+        self.samples.last().map_or(i64::MIN, |(stamp_ns, _)| *stamp_ns)
+    }
+
+    fn is_steady(&self) -> bool {
+        let n = self.samples.len() as i64;
+        let first_ns = self.samples.first().map_or(0, |(stamp_ns, _)| *stamp_ns);
+        1 < n && self.newest_ns().saturating_sub(first_ns) / (n - 1) <= STEADY_NS
+    }
+
+    /// The transform at a stamp, or, where it is not told steadily, the last one before.
+    fn around(&self, stamp_ns: i64) -> Option<Rigid> {
+        if self.is_steady() {
+            return at(&self.samples, stamp_ns);
+        }
+        let after = self.samples.partition_point(|(ns, _)| *ns <= stamp_ns);
+        self.samples.get(after.saturating_sub(1)).map(|(_, rigid)| *rigid)
+    }
+}
+
+/// The transform along a way, of those it is made of.
+fn chain(way: &Way, rigids: impl Iterator<Item = Option<Rigid>>) -> Option<Rigid> {
+    way.iter().zip(rigids).try_fold(Rigid::IDENTITY, |all, ((_, is_backwards), rigid)| {
+        let rigid = rigid?;
+        Some(all.then(&if *is_backwards { rigid.inverse() } else { rigid }))
+    })
 }
 
 /// Why there are no poses of a frame.
@@ -222,7 +239,8 @@ fn at(samples: &[(i64, Rigid)], stamp_ns: i64) -> Option<Rigid> {
     }
     let (before_ns, previous) = samples.get(after.checked_sub(1)?)?;
     let share = (stamp_ns - before_ns) as f64 / (after_ns - before_ns) as f64;
-    Some(previous.towards(next, share))
+    // Samples out of order have no stamp between them.
+    (0.0..=1.0).contains(&share).then(|| previous.towards(next, share))
 }
 
 impl Rigid {
@@ -379,14 +397,24 @@ mod tests {
         assert_eq!(poses.iter().step_by(2).copied().collect::<Vec<_>>(), expected);
     }
 
-    /// In odom, from the third transform on: at t = 10 the base is at 12 m, the lidar 1 m on.
+    /// Up to 20, where odom -> base has come: 110 lies beyond map -> odom. A correction of the map
+    /// that is told once in a while holds until it is told anew, though it is told after that.
     #[test]
-    fn motion_is_that_of_the_fastest_transform() {
-        let (poses, n) = graph().motion("map", "lidar", 2);
-        assert_eq!((poses.len(), n), (3, 5));
-        assert_eq!(poses[0].stamp_ns, 10);
-        assert!((poses[0].pose.x_m - (12.0 + 1f64.cos())).abs() < 1e-12);
-        assert_eq!(graph().motion("map", "wheel", 0), (vec![], 0));
+    fn motion_is_told_up_to_where_all_transforms_have_come() {
+        let motion = graph().motion("map", "lidar", i64::MIN);
+        let (expected, _) = graph().poses("map", "lidar").unwrap();
+        assert_eq!(motion, expected);
+        assert_eq!(graph().motion("map", "lidar", 0), expected[1..]);
+        assert_eq!(graph().motion("map", "wheel", 0), vec![]);
+        let mut corrected = graph();
+        let late = 100_000_000_000;
+        let moved = transform(("map", "odom"), late, [0.0; 3], rotation(0.0, 0.0));
+        corrected.add(&moved, false).unwrap();
+        let motion = corrected.motion("map", "lidar", i64::MIN);
+        assert_eq!(motion.iter().map(|p| p.stamp_ns).collect::<Vec<_>>(), [-10, 0, 10, 20, 110]);
+        for (found, expected) in motion[1..4].iter().zip(&expected) {
+            assert!(found.pose.distance_m(&expected.pose) < 1e-12);
+        }
     }
 
     #[test]

@@ -54,7 +54,7 @@ pub use options::{Clock, LidarOptions, OptionError, Options};
 pub use pose_options::{Frames, Origin, PlanarPose, PoseOptionError, PoseOptions};
 pub use survey::{
     ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,
-    TopicSurvey, survey,
+    TopicSurvey, TransformSurvey, survey,
 };
 
 use chunk::Buffer;

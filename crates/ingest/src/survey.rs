@@ -18,7 +18,7 @@ use crate::ring::RingPacket;
 use crate::sensor::{self, HDL32E, Laser};
 use crate::topic::{Drive, FilePiece};
 use crate::turns::TurnCutter;
-use crate::{LIDAR_TYPES, PIECES_PER_THREAD, POSE_TYPES, fixes, forget, poses};
+use crate::{FRAME_TYPES, LIDAR_TYPES, PIECES_PER_THREAD, POSE_TYPES, fixes, forget, poses};
 
 /// What a drive holds.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
@@ -69,6 +69,8 @@ pub enum Content {
     Clouds(CloudsSurvey),
     /// Poses.
     Poses(PosesSurvey),
+    /// Transforms between frames, in order of their names.
+    Transforms(Vec<TransformSurvey>),
     /// Anything else.
     Other,
 }
@@ -190,6 +192,17 @@ pub struct PosesSurvey {
     pub extent_m: (f64, f64),
 }
 
+/// What a topic tells of one transform.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TransformSurvey {
+    /// The frame in which the child is placed.
+    pub parent: String,
+    /// The frame that is placed.
+    pub child: String,
+    /// How often it is told.
+    pub n_told: u64,
+}
+
 /// Surveys a drive, one log or several that were split from one.
 ///
 /// `progress` is told how many bytes of the files have been read.
@@ -251,6 +264,8 @@ struct Found {
     foreign: BTreeMap<&'static str, u64>,
     poses: Vec<StampedPose>,
     fixes: Vec<NavSatFix>,
+    /// How often each transform is told, by parent and child.
+    transforms: BTreeMap<(String, String), u64>,
     scans: Option<ScansSurvey>,
     rings: Rings,
     dropped: Dropped,
@@ -294,6 +309,14 @@ impl Found {
                 1 => self.rings.add(source, data),
                 _ => Ok(()),
             },
+            MessageType::Tf | MessageType::FoxgloveFrameTransform => {
+                messages::read_transforms(source, data).map(|transforms| {
+                    for transform in transforms {
+                        let names = (transform.parent, transform.child);
+                        *self.transforms.entry(names).or_default() += 1;
+                    }
+                })
+            }
             MessageType::NavSatFix => {
                 messages::read_nav_sat_fix(source, data).map(|fix| match fixes::check(&fix) {
                     Ok(()) => self.fixes.push(fix),
@@ -439,6 +462,9 @@ impl Gathered {
         }
         all.poses.extend(found.poses);
         all.fixes.extend(found.fixes);
+        for (names, n) in found.transforms {
+            *all.transforms.entry(names).or_default() += n;
+        }
         if let Some(scans) = found.scans {
             let merged = all.scans.get_or_insert_with(|| scans.clone());
             merged.n_beams =
@@ -479,6 +505,10 @@ impl Gathered {
                 let reason = format!("poses of {topic} with the stamp of another pose");
                 dropped.add(reason, n_duplicates as u64);
                 Content::Poses(poses_survey(&trajectory))
+            }
+            Some(tf) if FRAME_TYPES.contains(&tf) => {
+                let told = |((parent, child), n_told)| TransformSurvey { parent, child, n_told };
+                Content::Transforms(self.found.transforms.into_iter().map(told).collect())
             }
             _ => Content::Other,
         };

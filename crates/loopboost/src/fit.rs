@@ -14,6 +14,7 @@ pub(crate) struct Fit<'a> {
     /// Wheels and an imu that poses could be made of, where there are none or the track is given.
     wheels: Option<(&'a TopicSurvey, Option<&'a TopicSurvey>)>,
     track_m: Option<f64>,
+    has_transforms: bool,
     /// A topic of packets that give no whole turn.
     lidar_without_turn: Option<&'a TopicSurvey>,
 }
@@ -41,7 +42,10 @@ impl<'a> Fit<'a> {
             let fitting = survey.topics.iter().rev().filter(|topic| is_one_of(topic, types));
             fitting.max_by_key(|topic| topic.n_messages)
         };
-        let pose = poses.rev().max_by_key(|topic| topic.n_messages);
+        // Satellite fixes have no heading and need an origin: only where there is nothing else.
+        let pose = poses
+            .rev()
+            .max_by_key(|topic| (!is_one_of(topic, &[MessageType::NavSatFix]), topic.n_messages));
         // Joints rather than an odometry that a driver made of them.
         let wheels = ingest::WHEEL_TYPES.iter().find_map(|of| most(&[*of]));
         let imu = most(&ingest::IMU_TYPES);
@@ -52,6 +56,9 @@ impl<'a> Fit<'a> {
             pose: pose.filter(|_| track_m.is_none() || wheels.is_none()),
             wheels: wheels.filter(|_| is_wanted).map(|wheels| (wheels, imu)),
             track_m,
+            has_transforms: survey.topics.iter().any(
+                |topic| matches!(&topic.content, Content::Transforms(told) if !told.is_empty()),
+            ),
             lidar_without_turn: survey.topics.iter().find(
                 |topic| matches!(&topic.content, Content::Packets(packets) if packets.n_turns == 0),
             ),
@@ -119,7 +126,12 @@ impl<'a> Fit<'a> {
             }
             (None, None) => writeln!(
                 text,
-                "# pose.topic = \"...\": the log has no poses, so that its scans cannot be labelled"
+                "# pose.topic = \"...\": the log has no poses, so that its scans cannot be labelled{}",
+                match self.has_transforms {
+                    true =>
+                        "\n# unless its transforms lead to the lidar: pose.frames = { parent = \"map\", child = \"velodyne\" }",
+                    false => "",
+                }
             )?,
         }
         writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;

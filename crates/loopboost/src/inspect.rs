@@ -148,6 +148,11 @@ fn print(path: &Path, drive: &LogFile, survey: &Survey) {
                     poses.widest_gap_s
                 );
             }
+            Content::Transforms(transforms) => {
+                for told in transforms {
+                    out!("  {} -> {}, told {} times", told.parent, told.child, told.n_told);
+                }
+            }
             Content::Other => {}
         }
     }
