@@ -39,6 +39,43 @@ fn the_mcap_package_finds_no_fault() {
     }
 }
 
+/// `mcap doctor` (the `mcap` of LOOPBOOST_MCAP, or on the path) has nothing to say.
+#[test]
+fn mcap_doctor_has_nothing_to_say() {
+    let mcap = std::env::var("LOOPBOOST_MCAP").unwrap_or_else(|_| "mcap".to_owned());
+    if Command::new(&mcap).args(["doctor", "--help"]).output().is_err() {
+        println!("skipped: no mcap command (LOOPBOOST_MCAP)");
+        return;
+    }
+    let workplace = Workplace::new(CAMPUS);
+    for (encoding, compression, files) in
+        [("ros2", "zstd", 1), ("ros2", "lz4", 1), ("ros2", "none", 2), ("ros1", "zstd", 2)]
+    {
+        let out = format!("{encoding}-{compression}");
+        let sets = [
+            format!("simulate.encoding={encoding}"),
+            format!("simulate.compression={compression}"),
+            format!("simulate.files={files}"),
+        ];
+        let more: Vec<&str> = sets.iter().flat_map(|set| ["--set", set]).collect();
+        workplace.command("simulate", &out, &more).expect(0);
+        let logs = match files {
+            1 => vec!["logs/one.mcap"],
+            _ => vec!["logs/one/one_0.mcap", "logs/one/one_1.mcap"],
+        };
+        for log in logs {
+            let log = workplace.path(&out).join(log);
+            let output =
+                Command::new(&mcap).args(["doctor", "--strict-message-order"]).arg(&log).output();
+            let output = output.unwrap();
+            let said = [output.stdout, output.stderr].concat();
+            let said = String::from_utf8_lossy(&said);
+            let is_quiet = !said.contains("Warning") && !said.contains("Error");
+            assert!(output.status.success() && is_quiet, "{}: {said}", log.display());
+        }
+    }
+}
+
 /// The files of a split log are one drive to every stage, and hold the same scans.
 #[test]
 fn split_logs_are_read_as_one() {

@@ -3,8 +3,9 @@ its ring looks like, beside that of other logs.
 
 usage: simulation.py LOG.mcap [OTHER.mcap ...]
 
-Of the first log: every chunk's CRC, the indexes, the statistics, the order of messages and schemas;
-every message is decoded. Of each log the statistics of laser 15 (ROS 2 encoding).
+Of the first log, what `mcap doctor` looks at: the header, every CRC, the order of messages, that
+chunks, their indexes and the statistics agree, and that the summary repeats schemas and channels;
+and every message is decoded. Of each log the statistics of laser 15 (ROS 2 encoding).
 """
 
 import collections
@@ -12,6 +13,7 @@ import itertools
 import struct
 import sys
 
+import mcap.data_stream
 import mcap.reader
 import mcap.records
 import mcap.stream_reader
@@ -34,6 +36,9 @@ def check(path):
                 assert last <= record.log_time, "messages are out of order"
                 last = record.log_time
     with open(path, "rb") as log:
+        header = mcap.reader.make_reader(log).get_header()
+        assert header.profile in ("ros1", "ros2") and header.library, header
+        log.seek(0)
         reader = mcap.reader.make_reader(log, validate_crcs=True, decoder_factories=[DecoderFactory()])
         summary = reader.get_summary()
         statistics = summary.statistics
@@ -43,6 +48,10 @@ def check(path):
         assert statistics.message_end_time == last
         for index in summary.chunk_indexes:
             assert index.message_index_offsets, "a chunk has no message index"
+            check_chunk(log, index)
+        for channel in summary.channels.values():
+            assert channel.schema_id in summary.schemas, f"{channel.topic} has no schema"
+        assert set(found) == set(summary.channels), "a channel without messages"
         topics = {channel.topic for channel in summary.channels.values()}
         frames, n = set(), 0
         for schema, channel, _, decoded in reader.iter_decoded_messages():
@@ -54,6 +63,24 @@ def check(path):
     assert topics == {"/velodyne_packets", "/ground_truth", "/imu/data", "/wheel_states", "/tf", "/tf_static"}
     assert frames == {("map", "odom"), ("odom", "base_link"), ("base_link", "velodyne")}
     print(f"{path}: {n} messages in {statistics.chunk_count} chunks, no fault")
+
+
+def check_chunk(log, index):
+    """Holds a chunk against its index."""
+    log.seek(index.chunk_start_offset + 1 + 8)
+    chunk = mcap.records.Chunk.read(mcap.data_stream.ReadDataStream(log))
+    assert chunk.compression == index.compression, (chunk.compression, index.compression)
+    assert len(chunk.data) == index.compressed_size
+    assert chunk.uncompressed_size == index.uncompressed_size
+    messages = [
+        record
+        for record in mcap.stream_reader.breakup_chunk(chunk, validate_crc=True)
+        if isinstance(record, mcap.records.Message)
+    ]
+    times = [message.log_time for message in messages]
+    assert (min(times), max(times)) == (index.message_start_time, index.message_end_time)
+    assert (chunk.message_start_time, chunk.message_end_time) == (min(times), max(times))
+    assert {message.channel_id for message in messages} == set(index.message_index_offsets)
 
 
 def statistics(path):
@@ -80,9 +107,15 @@ def statistics(path):
     both = (range_m[:-1] > 0) & (range_m[1:] > 0)
     points = np.c_[range_m * np.cos(angle), range_m * np.sin(angle)]
     spacing = np.linalg.norm(np.diff(points, axis=0), axis=1)[both] / range_m[:-1][both]
+    # Where nothing stands, beams miss side by side; single ones are lost on what stands there.
+    is_missing = counts[:, 15] == 0
+    gaps = [(miss, len(list(run))) for miss, run in itertools.groupby(is_missing)]
+    wide = sum(n for miss, n in gaps if miss and 3.0 <= n * mean_step / 100) / len(is_missing)
     host_us = np.median(np.diff(stamps)) / 1000
     return [
         ("returns of laser 15", f"{(range_m > 0).mean():.3f}"),
+        ("missing in gaps of 3 deg and more, in smaller ones",
+         f"{wide:.3f}, {is_missing.mean() - wide:.3f}"),
         ("returns of the lasers that have any", f"{(counts > 0)[:, (counts > 0).any(0)].mean():.3f}"),
         ("noise on a flat wall [mm], quartile and median",
          f"{1000 * np.quantile(deviations, 0.25):.1f}, {1000 * np.median(deviations):.1f}"),

@@ -120,20 +120,24 @@ impl<'a> Index<'a> {
 /// The packet rounds ranges to 2 mm (error up to 1 mm) and azimuths to 0.01 deg, and the azimuth is
 /// read with a deviation of 0.003 deg: six of those and the rounding are 0.023 deg, 4e-4 rad,
 /// and the other lasers of a firing take the heading of its middle: 5e-5 rad.
-fn limit_m(range_m: f64) -> f64 {
-    0.0015 + 5e-4 * range_m
+///
+/// Noise of a range never goes beyond 3.46 deviations.
+fn limit_m(range_m: f64, noise_m: f64) -> f64 {
+    0.0015 + 5e-4 * range_m + 3.47 * noise_m
 }
 
-/// From outdoors and from within all seven buildings, all lasers, either way up. At upright edges a
+/// From outdoors and from within all seven buildings, all lasers, either way up, without noise of the
+/// range and with it. At upright edges a
 /// beam may meet the surface beside the one that its reported azimuth points to, at a range of that.
 #[test]
 fn every_return_lies_on_what_stands_there() {
-    for upside_down in [false, true] {
+    for (upside_down, range_noise_m) in [(false, 0.0), (true, 0.0), (false, 0.004), (true, 0.004)] {
         // Around the campus in a hurry; every eighth file of 80.
         let options = Options {
             buildings: 7,
             lasers: Lasers::All,
             upside_down,
+            range_noise_m,
             length_m: 1700.0,
             speed_m_s: 8.0,
             files: 80,
@@ -143,6 +147,7 @@ fn every_return_lies_on_what_stands_there() {
         let index = Index::new(campus.drive(0));
         let mut from_building = vec![0u64; campus.buildings().len() + 1];
         let (mut n, mut n_off, mut by_laser) = (0u64, 0u64, [0u64; 32]);
+        let mut n_exact = 0u64;
         for file in (0..80).step_by(4) {
             for r in returns(&campus, file, 29) {
                 let is_inside = |(low, high): &(Point, Point)| {
@@ -153,13 +158,19 @@ fn every_return_lies_on_what_stands_there() {
                 from_building[building.unwrap_or(campus.buildings().len())] += 1;
                 by_laser[r.laser] += 1;
                 n += 1;
-                n_off += u64::from(limit_m(r.range_m) < index.off_m(r.point));
+                let off_m = index.off_m(r.point);
+                n_off += u64::from(limit_m(r.range_m, range_noise_m) < off_m);
+                n_exact += u64::from(off_m < limit_m(r.range_m, 0.0));
             }
         }
         assert!(from_building.iter().all(|&n| 1000 < n), "{from_building:?}");
         assert!(by_laser.iter().all(|&n| 1000 < n), "{by_laser:?}");
-        println!("upside down: {upside_down}: {n_off} of {n} off, {from_building:?}");
+        println!(
+            "upside down: {upside_down}, noise {range_noise_m} m: {n_off} of {n} off, {n_exact} exact, {from_building:?}"
+        );
         assert!(n_off * 2000 < n, "{n_off} of {n} returns are off all surfaces");
+        // Noise there is: it takes a part of the returns beyond what rounding can.
+        assert!(range_noise_m <= 0.0 || n_exact * 10 < n * 9, "{n_exact} of {n} are exact");
     }
 }
 
