@@ -71,6 +71,8 @@ pub struct Retrieval {
     pub n_ambiguous: u64,
     /// Pairs left out: no classifier could be trained without the folds they touch.
     pub n_unscored: u64,
+    /// Every so many-th keyframe was a query, against all before it.
+    pub query_stride: u64,
     /// Average precision; none without positives.
     pub average_precision: Option<f64>,
     /// Greatest share of the positives called positive while no negative is.

@@ -2,15 +2,21 @@
 //!
 //! Invariant: this crate sees scores, never models.
 
+mod bootstrap;
 mod figures;
 mod metrics;
 mod report;
+mod retrieval;
 mod tables;
 
-use dataset::{BoostingRound, Dropped, Keyframe, Label, Pair, Scores};
+use dataset::{BoostingRound, Dropped, GridCell, Keyframe, Label, Pair, Retrieval, Scores};
 
-pub use metrics::{Confusion, OperatingPoint, PrPoint, operating_points, precision_recall};
+pub use bootstrap::{Estimate, MIN_GROUPS, Summary};
+pub use metrics::{
+    Confusion, Measures, OperatingPoint, PrPoint, operating_points, precision_recall,
+};
 pub use report::{Fact, report};
+pub use retrieval::{Ranked, rank};
 pub use tables::write_tables;
 
 /// Rounds at which precision-recall is drawn (the paper's Figure 5).
@@ -27,6 +33,14 @@ pub struct Input<'a> {
     pub scores: &'a [Scores],
     /// What each round chose.
     pub rounds: &'a [BoostingRound],
+    /// How well all pairs are ranked at their natural prevalence; empty where not asked for.
+    pub retrieval: &'a [Retrieval],
+    /// Errors under other label rules; empty where not asked for.
+    pub grid: &'a [GridCell],
+    /// Bootstrap resamples for confidence intervals.
+    pub resamples: u32,
+    /// The run's seed.
+    pub seed: u64,
     /// What all stages left out.
     pub dropped: &'a Dropped,
 }
@@ -73,6 +87,8 @@ pub struct Mistake {
 /// All that is measured.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Evaluation {
+    /// For each learner and grouping, after the last round.
+    pub summaries: Vec<Summary>,
     /// For each learner, grouping and T = 1, 2, ...
     pub errors: Vec<ErrorRow>,
     /// For each learner and grouping, at T = 10 (or the last round, if that is less).
@@ -84,7 +100,10 @@ pub struct Evaluation {
 /// Measures.
 pub fn evaluate(input: &Input<'_>) -> Evaluation {
     let labels: Vec<Label> = input.pairs.iter().map(|pair| pair.label).collect();
-    let mut evaluation = Evaluation::default();
+    let mut evaluation = Evaluation {
+        summaries: bootstrap::summaries(&labels, input.scores, input.resamples, input.seed),
+        ..Evaluation::default()
+    };
     for scores in input.scores {
         let (learner, grouping) = (&scores.learner, &scores.grouping);
         for rounds in 1..=scores.n_rounds {

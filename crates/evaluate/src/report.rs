@@ -112,7 +112,7 @@ fn results(input: &Input<'_>, evaluation: &Evaluation, grouping: &str, named: bo
             .find(|r| r.learner == learner && r.grouping == grouping && r.rounds == rounds)
     };
     let few = scores.first().map_or(0, |s| s.n_rounds).min(PRECISION_RECALL_ROUNDS);
-    let folds = scores.first().map_or(0, |s| s.folds.iter().max().map_or(0, |f| f + 1));
+    let folds = scores.first().map_or(0, |s| s.folds.iter().flatten().max().map_or(0, |f| f + 1));
     html! {
         section {
             h2 { "Results" @if named { ", grouping " (grouping) } }

@@ -67,6 +67,10 @@ pub fn write_tables(
     write("precision_recall", columns, &[])?;
 
     let rows = input.rounds;
+    let left_out = |of: usize| -> ArrayRef {
+        let folds = rows.iter().map(|r| r.left_out.as_ref().map(|l| l.folds[of]));
+        Arc::new(folds.collect::<UInt32Array>())
+    };
     let error_after = |r: &dataset::BoostingRound| {
         let of_all = r.left_out.is_none();
         let row = evaluation
@@ -80,22 +84,20 @@ pub fn write_tables(
         (
             "grouping",
             Arc::new(
-                rows.iter().map(|r| r.left_out.as_ref().map(|l| &*l.0)).collect::<StringArray>(),
+                rows.iter()
+                    .map(|r| r.left_out.as_ref().map(|l| &*l.grouping))
+                    .collect::<StringArray>(),
             ),
         ),
-        (
-            "fold",
-            Arc::new(
-                rows.iter().map(|r| r.left_out.as_ref().map(|l| l.1)).collect::<UInt32Array>(),
-            ),
-        ),
+        ("fold", left_out(0)),
+        ("other_fold", left_out(1)),
         ("round", Arc::new(UInt32Array::from_iter_values(rows.iter().map(|r| r.round)))),
         ("feature", strings(rows.iter().map(|r| &*r.feature))),
         ("threshold", Arc::new(rows.iter().map(|r| r.threshold).collect::<Float64Array>())),
         ("weighted_error", floats(rows.iter().map(|r| r.weighted_error))),
         ("error", Arc::new(rows.iter().map(error_after).collect::<Float64Array>())),
     ];
-    write("selection", columns, &["grouping", "fold", "threshold", "error"])?;
+    write("selection", columns, &["grouping", "fold", "other_fold", "threshold", "error"])?;
 
     let rows = &evaluation.mistakes;
     let pair = |m: &crate::Mistake| &input.pairs[m.pair];

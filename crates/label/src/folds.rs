@@ -85,8 +85,7 @@ pub fn folds(
     pairs: &[Pair],
 ) -> Result<Folds, LabelError> {
     let Dealing { grouping, n_folds, place_m, seed } = *dealing;
-    let refuse =
-        |key, found, expected| Err(LabelError::Option { key, found, expected });
+    let refuse = |key, found, expected| Err(LabelError::Option { key, found, expected });
     if n_folds < 2 {
         return refuse("evaluate.folds", f64::from(n_folds), "2 or more");
     }
@@ -104,14 +103,15 @@ pub fn folds(
             let groups = (0..pairs.len() as u32).map(|k| [k, k]).collect();
             return Ok(Folds { n_folds, groups, folds, of_keyframes: Vec::new(), keys });
         }
-        Grouping::Scan => Groups {
-            of_keyframes: (0..keyframes.len() as u32).collect(),
-            hashes,
-        },
-        Grouping::Place => Groups::by(keyframes, |k| {
-            let cell = |metres: f64| (metres / place_m).floor() as i64;
-            (&*k.site, cell(k.pose.x_m), cell(k.pose.y_m))
-        }, |(site, x, y)| name_hash(seed, &[site.as_bytes(), &x.to_le_bytes(), &y.to_le_bytes()])),
+        Grouping::Scan => Groups { of_keyframes: (0..keyframes.len() as u32).collect(), hashes },
+        Grouping::Place => Groups::by(
+            keyframes,
+            |k| {
+                let cell = |metres: f64| (metres / place_m).floor() as i64;
+                (&*k.site, cell(k.pose.x_m), cell(k.pose.y_m))
+            },
+            |(site, x, y)| name_hash(seed, &[site.as_bytes(), &x.to_le_bytes(), &y.to_le_bytes()]),
+        ),
         Grouping::Log => {
             Groups::by(keyframes, |k| &*k.id.log, |log| name_hash(seed, &[log.as_bytes()]))
         }

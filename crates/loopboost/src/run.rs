@@ -24,9 +24,10 @@ use crate::options::{maker_of, options_of};
 ///   logs/<log>.mcap              simulated logs
 ///   scans/<log>.parquet          poses/<log>.parquet
 ///   keyframes.parquet            pairs.parquet            features.parquet
-///   scores.parquet               rounds.parquet
+///   scores.parquet               rounds.parquet           retrieval.parquet  grid.parquet
 ///   models/<name>/<version>/     model.json, card.md
-///   evaluation/*.parquet         report.html
+///   evaluation/*.parquet         evaluation/summary.json  evaluation/figures/*.svg
+///   report.html
 /// ```
 pub(crate) struct Run {
     pub(crate) config: Config,
@@ -152,6 +153,11 @@ impl Run {
                     log.paths[0].display()
                 ));
             }
+        }
+        if self.config.evaluate.groupings.contains(&label::Grouping::Log) && logs.len() < 2 {
+            return Err(usage(
+                "`evaluate.groupings` has `log`, which holds a log out, but there is 1 log: add logs, or leave `log` out",
+            ));
         }
         let is_log = |name: &&String| seen.iter().any(|log| ***log == ***name);
         if let Some(stray) = self.config.ingest.log.keys().find(|name| !is_log(name)) {
@@ -283,7 +289,9 @@ impl Run {
                 ("subsample", _) => vec![self.path("keyframes.parquet")],
                 ("label", _) => vec![self.path("pairs.parquet")],
                 ("featurize", _) => vec![self.path("features.parquet")],
-                ("train", _) => vec![self.path("scores.parquet"), self.path("rounds.parquet")],
+                ("train", _) => ["scores", "rounds", "retrieval", "grid"]
+                    .map(|name| self.path(&format!("{name}.parquet")))
+                    .into(),
                 _ => Vec::new(),
             };
             self.would_change.borrow_mut().extend(outputs);

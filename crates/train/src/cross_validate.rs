@@ -143,9 +143,8 @@ impl FoldFit {
         let mut staged = Vec::with_capacity(rows.len() * n_rounds);
         // A baseline has no rounds: its confidence is the same after each.
         let mut repeat = |confidence: f64| staged.extend(std::iter::repeat_n(confidence, n_rounds));
-        let difference = |row: usize| -> Vec<f64> {
-            data.columns().iter().map(|column| column[row]).collect()
-        };
+        let difference =
+            |row: usize| -> Vec<f64> { data.columns().iter().map(|column| column[row]).collect() };
         match &self.scorer {
             Scorer::Boosted(classifier) => {
                 for &row in rows {
@@ -232,10 +231,16 @@ mod tests {
     #[test]
     fn a_pair_between_two_folds_is_scored_without_both() {
         let data = Matrix::new(
-            vec![vec![3.0, 4.0, 1.0, 9.0, 1.0, 9.0, 1.0, 9.0, 1.0, 9.0]],
-            [Positive, Negative].repeat(2).into_iter().chain([Negative, Positive].repeat(2)).chain([Positive, Negative]).collect(),
+            vec![vec![3.0, 4.0, 1.0, 9.0, 2.0, 3.0, 2.0, 3.0, 1.0, 9.0]],
+            [Positive, Negative]
+                .repeat(2)
+                .into_iter()
+                .chain([Negative, Positive].repeat(2))
+                .chain([Positive, Negative])
+                .collect(),
         );
-        let folds = [[0, 1], [1, 0], [2, 2], [2, 2], [0, 0], [0, 0], [1, 1], [1, 1], [0, 2], [2, 1]];
+        let folds =
+            [[0, 1], [1, 0], [2, 2], [2, 2], [0, 0], [0, 0], [1, 1], [1, 1], [0, 2], [2, 1]];
         let folded = Folded { data: &data, folds: &folds, keys: &[0; 10] };
         let fit = fit_without(Learner::Discrete, 1, &folded, [0, 1]).unwrap();
         // Threshold 5 between 1 (+) and 9 (-): 3 and 4 lie below.

@@ -17,9 +17,7 @@ mod svm;
 use model::{Classifier, WeakLearner};
 use serde::{Deserialize, Serialize};
 
-pub use cross_validate::{
-    CrossValidated, FoldError, FoldFit, Folded, cross_validate, fit_without,
-};
+pub use cross_validate::{CrossValidated, FoldError, FoldFit, Folded, cross_validate, fit_without};
 pub use matrix::Matrix;
 
 /// The section `[train]`.

@@ -60,14 +60,13 @@ pub fn retrieval_batch(rows: &[Retrieval]) -> arrow_array::RecordBatch {
         ("log", Arc::new(rows.iter().map(|r| r.log.as_deref()).collect::<StringArray>())),
         (
             "ambiguous_as_negative",
-            Arc::new(
-                rows.iter().map(|r| Some(r.ambiguous_as_negative)).collect::<BooleanArray>(),
-            ),
+            Arc::new(rows.iter().map(|r| Some(r.ambiguous_as_negative)).collect::<BooleanArray>()),
         ),
         ("n_positive", counts(|r| r.n_positive)),
         ("n_negative", counts(|r| r.n_negative)),
         ("n_ambiguous", counts(|r| r.n_ambiguous)),
         ("n_unscored", counts(|r| r.n_unscored)),
+        ("query_stride", counts(|r| r.query_stride)),
         ("average_precision", shares(|r| r.average_precision)),
         ("recall_at_full_precision", shares(|r| r.recall_at_full_precision)),
         ("detection_at_1_percent", shares(|r| r.detection_at_1_percent)),
@@ -100,6 +99,7 @@ pub fn read_retrieval(path: &Path) -> Result<(Vec<Retrieval>, Provenance)> {
     let count = |name| columns.numbers::<UInt64Type>(name);
     let (positive, negative) = (count("n_positive")?, count("n_negative")?);
     let (ambiguous, unscored) = (count("n_ambiguous")?, count("n_unscored")?);
+    let strides = count("query_stride")?;
     let share = |name| columns.nullable_numbers::<Float64Type>(name);
     let average_precision = share("average_precision")?;
     let recall = share("recall_at_full_precision")?;
@@ -144,6 +144,7 @@ pub fn read_retrieval(path: &Path) -> Result<(Vec<Retrieval>, Provenance)> {
                 n_negative: negative.value(row),
                 n_ambiguous: ambiguous.value(row),
                 n_unscored: unscored.value(row),
+                query_stride: strides.value(row),
                 average_precision: value(average_precision, row),
                 recall_at_full_precision: value(recall, row),
                 detection_at_1_percent: value(detection, row),

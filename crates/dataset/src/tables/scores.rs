@@ -140,7 +140,12 @@ pub fn write_rounds(path: &Path, provenance: &Provenance, rounds: &[BoostingRoun
             Arc::new(Float64Array::from_iter_values(rounds.iter().map(|r| r.weighted_error))),
         ),
     ];
-    write_table(path, "rounds", provenance, &batch(columns, &["grouping", "fold", "other_fold", "threshold"]))
+    write_table(
+        path,
+        "rounds",
+        provenance,
+        &batch(columns, &["grouping", "fold", "other_fold", "threshold"]),
+    )
 }
 
 /// Reads `rounds.parquet`.

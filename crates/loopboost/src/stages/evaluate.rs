@@ -2,15 +2,22 @@ use anyhow::Result;
 use dataset::Dropped;
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{
-    Provenance, read_keyframes, read_pairs, read_rounds, read_scores, write_file,
+    Provenance, read_grid, read_keyframes, read_pairs, read_retrieval, read_rounds, read_scores,
+    write_file,
 };
 use evaluate::{Evaluation, Fact, Input};
 
 use crate::config::Config;
 use crate::run::{Done, Run, Task};
 
-const INPUTS: [&str; 4] =
-    ["keyframes.parquet", "pairs.parquet", "scores.parquet", "rounds.parquet"];
+const INPUTS: [&str; 6] = [
+    "keyframes.parquet",
+    "pairs.parquet",
+    "scores.parquet",
+    "rounds.parquet",
+    "retrieval.parquet",
+    "grid.parquet",
+];
 
 /// Scores -> evaluation/, report.html
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
@@ -20,11 +27,13 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
 }
 
 fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
-    let [keyframes, pairs, scores, rounds] = INPUTS.map(|name| run.path(name));
+    let [keyframes, pairs, scores, rounds, retrieval, grid] = INPUTS.map(|name| run.path(name));
     let (keyframes, of_keyframes) = read_keyframes(&keyframes)?;
     let (pairs, _) = read_pairs(&pairs, &keyframes)?;
     let (scores, _) = read_scores(&scores, &pairs)?;
     let (rounds, _) = read_rounds(&rounds)?;
+    let (retrieval, _) = read_retrieval(&retrieval)?;
+    let (grid, _) = read_grid(&grid)?;
     let mut dropped = of_keyframes.dropped;
     let mut facts = Vec::new();
     for log in run.ingested_logs()? {
@@ -40,6 +49,10 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         pairs: &pairs,
         scores: &scores,
         rounds: &rounds,
+        retrieval: &retrieval,
+        grid: &grid,
+        resamples: run.config.evaluate.resamples,
+        seed: run.config.seed,
         dropped: &dropped,
     };
     let evaluation = evaluate::evaluate(&input);
