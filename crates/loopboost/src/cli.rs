@@ -56,7 +56,13 @@ enum Command {
     /// Pairs and features -> models/, scores.parquet, rounds.parquet
     Train(PipelineArgs),
     /// Scores -> evaluation/, report.html
-    Evaluate(PipelineArgs),
+    Evaluate {
+        #[command(flatten)]
+        args: PipelineArgs,
+        /// Print the numbers of the report as JSON, and nothing else
+        #[arg(long)]
+        json: bool,
+    },
     /// Tell what a log holds and which pipeline would fit it
     Inspect {
         /// An MCAP log, or a folder with one drive that was split into several
@@ -186,7 +192,12 @@ impl Cli {
             Command::Label(args) => args.execute(always, true, stages::label::run),
             Command::Featurize(args) => args.execute(always, true, stages::featurize::run),
             Command::Train(args) => args.execute(always, true, stages::train::run),
-            Command::Evaluate(args) => args.execute(always, true, stages::evaluate::run),
+            Command::Evaluate { args, json: false } => {
+                args.execute(always, true, stages::evaluate::run)
+            }
+            Command::Evaluate { args, json: true } => {
+                args.execute(Mode::Quiet, true, stages::evaluate::run_and_print)
+            }
             Command::Inspect { log, write, json } => inspect::inspect(&log, write.as_deref(), json),
             Command::Import(args) => args.execute(),
             Command::Log { artifact } => done(lineage::log(&artifact)),

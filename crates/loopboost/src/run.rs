@@ -62,6 +62,8 @@ pub(crate) enum Mode {
     },
     /// All that are come upon: a stage was asked for by its own command.
     Always,
+    /// As `Always`, and nothing is said: stdout belongs to what the command prints.
+    Quiet,
 }
 
 /// A piece of work that is done whole or not at all.
@@ -412,7 +414,9 @@ impl Run {
 
     /// A result, on stdout.
     pub(crate) fn say(&self, stage: &str, what: impl std::fmt::Display) {
-        out!("{stage:<10} {what}");
+        if self.mode != Mode::Quiet {
+            out!("{stage:<10} {what}");
+        }
     }
 }
 
@@ -440,7 +444,15 @@ fn lock(folder: &Path) -> Result<File> {
 /// Removes what a killed run has left half written, in the folders that a run writes to and in no
 /// others.
 fn remove_partial_files(folder: &Path) -> Result<()> {
-    for pattern in [".*", "logs/.*", "scans/.*", "poses/.*", "evaluation/.*", "models/*/*/.*"] {
+    for pattern in [
+        ".*",
+        "logs/.*",
+        "scans/.*",
+        "poses/.*",
+        "evaluation/.*",
+        "evaluation/figures/.*",
+        "models/*/*/.*",
+    ] {
         let pattern = format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()));
         for path in glob::glob(&pattern).into_iter().flatten().flatten() {
             if is_partial(&path) && path.is_file() {
