@@ -423,7 +423,7 @@ mod tests {
         .unwrap();
         assert!((config.label.positive_radius_m - 2.0).abs() < 1e-12);
         assert_eq!(config.name, "other");
-        assert_eq!(config.train.learners, [train::Learner::Discrete]);
+        assert_eq!(config.train.learners, [Learner::Discrete]);
     }
 
     #[test]

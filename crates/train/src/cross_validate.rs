@@ -53,7 +53,7 @@ enum Scorer {
 pub enum FoldError {
     /// What is left to train on lacks a class.
     #[error(
-        "without {} {n_positive} positive and {n_negative} negative pairs are left to train on, expected both; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or leave the grouping out",
+        "without {}, {n_positive} positive and {n_negative} negative pairs are left to train on, expected both; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or leave the grouping out",
         folds(.left_out)
     )]
     OneClass {
@@ -277,6 +277,6 @@ mod tests {
         let error = cross_validate(Learner::Discrete, 1, &folded).unwrap_err();
         assert_eq!(error, FoldError::OneClass { left_out: [1, 1], n_positive: 2, n_negative: 0 });
         let text = error.to_string();
-        assert!(text.starts_with("without fold 1 2 positive and 0 negative pairs"), "{text}");
+        assert!(text.starts_with("without fold 1, 2 positive and 0 negative pairs"), "{text}");
     }
 }

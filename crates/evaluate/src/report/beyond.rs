@@ -25,12 +25,10 @@ pub(super) fn every_pair(input: &Input<'_>, figures: &[Figure]) -> Markup {
                 @if first.query_stride > 1 { " Every " (first.query_stride) "th scan is a query: `evaluate.max_pairs`." }
             }
             (table(&input.retrieval_of_all().filter(|r| !r.ambiguous_as_negative).collect::<Vec<_>>(), "learner", |r| name_of(&r.learner)))
+            h3 { "What is not a match counts as another place" }
+            (table(&input.retrieval_of_all().filter(|r| r.ambiguous_as_negative).collect::<Vec<_>>(), "learner", |r| name_of(&r.learner)))
             div class="figures" {
                 (figure(figures, "every-pair", &html! { "Precision against recall among every pair, ambiguous pairs left out." }))
-                div {
-                    h3 { "What is not a match counts as another place" }
-                    (table(&input.retrieval_of_all().filter(|r| r.ambiguous_as_negative).collect::<Vec<_>>(), "learner", |r| name_of(&r.learner)))
-                }
             }
             @if input.retrieval.iter().any(|r| r.log.is_none()) {
                 @for learner in distinct(input.retrieval.iter().map(|r| &*r.learner)) {

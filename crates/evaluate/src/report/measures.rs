@@ -3,9 +3,7 @@
 use dataset::Label;
 use maud::{Markup, html};
 
-use super::{
-    PAPER_ERROR_BELOW, PAPER_ROUNDS, distinct, figure, meaning_of, name_of, optional, percent,
-};
+use super::{PAPER_ERROR_BELOW, PAPER_ROUNDS, distinct, figure, meaning_of, name_of, percent};
 use crate::bootstrap::{Estimate, MIN_GROUPS, Summary};
 use crate::figures::Figure;
 use crate::{Evaluation, Input, PRECISION_RECALL_ROUNDS};
@@ -81,7 +79,7 @@ fn side_by_side(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
                         }
                     }
                     tr class="paper-row" {
-                        th { "the paper, Discrete and Gentle, T\u{a0}=\u{a0}" (PAPER_ROUNDS) ", on its own campus" }
+                        th { "the paper\u{2019}s AdaBoost, its own campus, T\u{a0}=\u{a0}" (PAPER_ROUNDS) }
                         @for grouping in &groupings {
                             td { @if *grouping == "pair" { "under " (format!("{:.0}", PAPER_ERROR_BELOW * 100.0)) "\u{a0}%" } @else { "not given" } }
                         }
@@ -162,7 +160,7 @@ fn of_grouping(
                         tr {
                             th { (name_of(&s.learner)) }
                             (cell(s.error, rows.iter().all(|other| s.error.value <= other.error.value)))
-                            td { (optional(error_at(&s.learner, few).filter(|_| input.is_boosted(&s.learner)))) }
+                            td { (error_at(&s.learner, few).filter(|_| input.is_boosted(&s.learner)).map_or_else(|| "\u{2013}".to_owned(), percent)) }
                             (cell(s.average_precision, greatest(|s| s.average_precision.value)))
                             (cell(s.recall_at_full_precision, greatest(|s| s.recall_at_full_precision.value)))
                             (cell(s.detection_at_1_percent, greatest(|s| s.detection_at_1_percent.value)))
