@@ -13,7 +13,7 @@ seed = 7
 
 [simulate]
 logs = ["there", "back"]
-length_m = 160.0
+length_m = 240.0
 people = 3
 
 [ingest]
@@ -21,6 +21,7 @@ site = "building"
 pose.topic = "/ground_truth"
 
 [label]
+negative_min_m = 20.0
 pairs_per_class = 150
 
 [train]
@@ -29,6 +30,7 @@ rounds = 10
 
 [evaluate]
 groupings = ["pair", "scan", "place"]
+place_m = 8.0
 resamples = 100
 
 [evaluate.grid]
@@ -149,7 +151,7 @@ fn the_grid_draws_pairs_by_other_rules() {
     assert_eq!(cells.len(), 2 * 2 * 2 * 2);
     let own = cells
         .iter()
-        .find(|c| c.learner == "discrete" && c.positive_radius_m > 1.2 && c.negative_min_m > 40.0);
+        .find(|c| c.learner == "discrete" && c.positive_radius_m > 1.2 && c.negative_min_m < 40.0);
     let own = own.unwrap().error.clone().unwrap();
     let line = format!("discrete by place: error {:.1} % at T = 10", own * 100.0);
     assert!(told.stdout.contains(&line), "{line}\n{}", told.stdout);
@@ -165,6 +167,19 @@ fn the_grid_draws_pairs_by_other_rules() {
     let (cells, _) = read_grid(&out("grid.parquet")).unwrap();
     let reasons = cells.iter().filter_map(|c| c.error.as_ref().err());
     assert!(reasons.clone().any(|r| r.contains("of 2000 positive pairs")), "{cells:?}");
+}
+
+#[test]
+fn the_evidence_does_not_depend_on_the_number_of_threads() {
+    let workplace = Workplace::new(PIPELINE);
+    for (out, threads) in [("one", 1), ("eight", 8)] {
+        workplace.command_with_threads("run", out, &[], threads).expect(0);
+    }
+    let (one, eight) = (workplace.files("one"), workplace.files("eight"));
+    assert_eq!(one.keys().collect::<Vec<_>>(), eight.keys().collect::<Vec<_>>());
+    for (name, bytes) in &one {
+        assert!(eight[name] == *bytes, "{name} has other bytes");
+    }
 }
 
 #[test]
@@ -198,10 +213,17 @@ fn what_cannot_be_held_out_is_refused_with_the_remedy() {
         .says(&["`evaluate.groupings` has `log`", "add logs, or leave `log` out"]);
     assert!(!workplace.path("out/logs").exists(), "before anything is done");
     // Two logs, and pairs between them: without both nothing is left to learn from.
-    workplace.command("run", "out", &by_log).expect(1).says(&[
-        "grouping `log`: without folds 0 and 1, 0 positive and 0 negative pairs are left",
-        "leave the grouping out",
-    ]);
+    let why = "grouping `log`: without folds 0 and 1, 0 positive and 0 negative pairs are left";
+    let none = workplace.command("run", "out", &by_log).expect(1);
+    none.says(&["no grouping can be evaluated", why, "leave the grouping out"]);
+    // Beside a grouping that can be evaluated it is left out and told, or is an error.
+    let both = ["--set", "evaluate.groupings=[\"pair\", \"log\"]"];
+    let told = workplace.command("run", "out", &both).expect(0).stdout;
+    assert!(told.contains(&format!("train      left out: {why}")), "{told}");
+    let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
+    assert!(report.contains(&format!("Not evaluated: {why}")));
+    let required = [both, ["--set", "evaluate.require_groupings=true"]].concat();
+    workplace.command("run", "out", &required).expect(1).says(&[why]);
     workplace
         .command("run", "out", &["--set", "evaluate.place_m=0"])
         .expect(2)

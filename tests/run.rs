@@ -25,6 +25,9 @@ pairs_per_class = 150
 
 [train]
 rounds = 20
+
+[evaluate]
+groupings = ["pair", "scan"]
 "#;
 
 const STAGES: [&str; 7] =
@@ -55,7 +58,7 @@ fn same_bytes_for_every_thread_count_stage_by_stage_and_other_bytes_for_another_
         "evaluation/precision_recall.parquet",
         "evaluation/selection.parquet",
         "evaluation/mistakes.parquet",
-        "evaluation/figures/error-curve-place.svg",
+        "evaluation/figures/error-curve-scan.svg",
         "evaluation/figures/ground-1.svg",
         "evaluation/figures/match-1.svg",
         "report.html",
@@ -153,7 +156,7 @@ fn results_go_to_stdout_and_nothing_else_does() {
     let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
     for part in [
         "id=\"error-curve-pair\"",
-        "id=\"precision-recall-place\"",
+        "id=\"precision-recall-scan\"",
         "id=\"every-pair\"",
         "id=\"first-rounds\"",
         "id=\"false-alarm-1\"",

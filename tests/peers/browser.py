@@ -112,7 +112,7 @@ def look(page, width, height, scheme):
     return seen
 
 
-with tempfile.TemporaryDirectory() as profile:
+with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
     flags = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --remote-debugging-port=0"
     flags += " --disable-background-networking --disable-component-update --disable-sync"
     command = ["chromium", *flags.split(), f"--user-data-dir={profile}", "about:blank"]

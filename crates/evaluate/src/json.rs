@@ -30,6 +30,7 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
         "keyframes": input.keyframes.len(),
         "pairs": { "positive": count(Label::Positive), "negative": count(Label::Negative) },
         "resamples": input.resamples,
+        "left_out": input.left_out,
         "summary": evaluation.summaries,
         "errors": errors.map(|row| json!({
             "learner": row.learner,

@@ -39,6 +39,8 @@ pub struct Input<'a> {
     pub pairs: &'a [Pair],
     /// Their scores, `(n_learners x n_groupings,)`.
     pub scores: &'a [Scores],
+    /// Groupings that were asked for and could not be evaluated, and why.
+    pub left_out: &'a [String],
     /// What each round chose.
     pub rounds: &'a [BoostingRound],
     /// How well all pairs are ranked at their natural prevalence; empty where not asked for.

@@ -97,6 +97,9 @@ pub(crate) struct EvaluateSection {
     pub(crate) folds: u32,
     /// What may not stand on both sides of a fold; each is evaluated.
     pub(crate) groupings: Vec<Grouping>,
+    /// A grouping that leaves too little to train on ends the run; otherwise it is left out, which
+    /// the run and its report tell.
+    pub(crate) require_groupings: bool,
     /// Width of the squares of ground that the grouping `place` keeps together \[m\].
     pub(crate) place_m: f64,
     /// Bootstrap resamples of the groups, for confidence intervals; 0 gives none.
@@ -117,6 +120,7 @@ impl Default for EvaluateSection {
         Self {
             folds: 10,
             groupings: vec![Grouping::Pair, Grouping::Place],
+            require_groupings: false,
             place_m: 20.0,
             resamples: 1000,
             every_pair: true,
@@ -128,14 +132,6 @@ impl Default for EvaluateSection {
 }
 
 impl EvaluateSection {
-    /// The grouping whose classifiers score every pair: `place` where it is asked for, else the
-    /// strictest one that keeps scans together; none where there is no such.
-    pub(crate) fn grouping_of_every_pair(&self) -> Option<Grouping> {
-        [Grouping::Place, Grouping::Log, Grouping::Scan]
-            .into_iter()
-            .find(|grouping| self.every_pair && self.groupings.contains(grouping))
-    }
-
     fn check(&self) -> Result<()> {
         if self.folds < 2 {
             return Err(anyhow!("`evaluate.folds` is {}, expected 2 or more", self.folds));

@@ -36,6 +36,7 @@ pub(super) fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
             ": " (logs.join(", ")) "."
         }
         (side_by_side(input, evaluation))
+        @for why in input.left_out { p class="note" { "Not evaluated: " (why) "." } }
     }
 }
 

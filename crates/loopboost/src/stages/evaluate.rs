@@ -49,7 +49,8 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let (keyframes, of_keyframes) = read_keyframes(&keyframes)?;
     let (pairs, _) = read_pairs(&pairs, &keyframes)?;
     let (features, _) = read_features(&features)?;
-    let (scores, _) = read_scores(&scores, &pairs)?;
+    let (scores, of_scores) = read_scores(&scores, &pairs)?;
+    let left_out: Vec<String> = of_scores.dropped.iter().map(|(why, _)| why.to_owned()).collect();
     let (rounds, _) = read_rounds(&rounds)?;
     let (retrieval, _) = read_retrieval(&retrieval)?;
     let (grid, _) = read_grid(&grid)?;
@@ -69,6 +70,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         features: &features,
         feature_rows: &[],
         scores: &scores,
+        left_out: &left_out,
         rounds: &rounds,
         retrieval: &retrieval,
         grid: &grid,

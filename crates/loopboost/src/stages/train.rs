@@ -53,24 +53,31 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
     let (features, _) = read_features(&features)?;
     check_features(options.featurize, &keyframes, &features)?;
     let data = matrix(&pairs, &features);
-    let groupings = options
-        .evaluate
-        .groupings
-        .iter()
-        .map(|&grouping| {
-            let dealing = dealing(options.evaluate, grouping, run.config.seed);
-            Ok((grouping, label::folds(&dealing, &keyframes, &pairs)?))
-        })
-        .collect::<Result<Vec<_>>>()?;
-
-    let fitted = options
+    let mut fitted: Vec<Fitted> = options
         .train
         .learners
         .par_iter()
-        .map(|&learner| fit(options, learner, &data, &groupings))
+        .map(|&learner| fit(options, learner, &data))
         .collect::<Vec<_>>()
         .into_iter()
-        .collect::<Result<Vec<_>>>()?;
+        .collect::<Result<_>>()?;
+    let mut groupings = Vec::new();
+    let mut left_out = Dropped::default();
+    let mut said = Vec::new();
+    for &grouping in &options.evaluate.groupings {
+        let dealing = dealing(options.evaluate, grouping, run.config.seed);
+        match hold_out(options, &dealing, &keyframes, &pairs, &data, &mut fitted) {
+            Ok(folds) => groupings.push((grouping, folds)),
+            Err(error) if options.evaluate.require_groupings => return Err(error),
+            Err(error) => {
+                said.push(format!("left out: {error:#}"));
+                left_out.add(format!("{error:#}"), 1);
+            }
+        }
+    }
+    if groupings.is_empty() {
+        return Err(anyhow!("no grouping can be evaluated; {}", said.join("; ")));
+    }
     let retrieval =
         every_pair::retrieval(options, &keyframes, &features, &data, &groupings, &fitted)?;
     let cells = grid::grid(options, run.config.seed, &keyframes, &features)?;
@@ -81,9 +88,11 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
         outputs: ["scores.parquet", "rounds.parquet", "retrieval.parquet", "grid.parquet"]
             .map(|name| run.path(name))
             .into(),
+        said,
         ..Done::default()
     };
-    write_scores(&done.outputs[0], provenance, &keyframes, &pairs, &scores)?;
+    let of_scores = Provenance { dropped: left_out, ..provenance.clone() };
+    write_scores(&done.outputs[0], &of_scores, &keyframes, &pairs, &scores)?;
     write_rounds(&done.outputs[1], provenance, &rounds)?;
     write_retrieval(&done.outputs[2], provenance, &retrieval)?;
     write_grid(&done.outputs[3], provenance, &cells)?;
@@ -129,39 +138,45 @@ struct Fitted {
     scores: Vec<Scores>,
 }
 
-fn fit(
-    options: &Options<'_>,
-    learner: Learner,
-    data: &Matrix,
-    groupings: &[(Grouping, Folds)],
-) -> Result<Fitted> {
-    let n_rounds = options.train.rounds;
+fn fit(options: &Options<'_>, learner: Learner, data: &Matrix) -> Result<Fitted> {
     let rounds = match learner.boosting() {
-        Some(boosting) => train::fit(boosting, n_rounds, data)?,
+        Some(boosting) => train::fit(boosting, options.train.rounds, data)?,
         None => Vec::new(),
     };
-    let of_groupings = groupings
+    Ok(Fitted { learner, rounds, fits: Vec::new(), scores: Vec::new() })
+}
+
+/// Cross-validates all learners on the folds of one grouping.
+fn hold_out(
+    options: &Options<'_>,
+    dealing: &Dealing,
+    keyframes: &[Keyframe],
+    pairs: &[Pair],
+    data: &Matrix,
+    fitted: &mut [Fitted],
+) -> Result<Folds> {
+    let folds = label::folds(dealing, keyframes, pairs)?;
+    let n_rounds = options.train.rounds;
+    let grouping = dealing.grouping;
+    let validated = fitted
         .par_iter()
-        .map(|(grouping, folds)| {
-            let validated = train::cross_validate(learner, n_rounds, &folded(data, folds));
-            validated.with_context(|| format!("grouping `{}`", grouping.name()))
-        })
-        .collect::<Vec<_>>();
-    let mut fits = Vec::new();
-    let mut scores = Vec::new();
-    for ((grouping, folds), validated) in groupings.iter().zip(of_groupings) {
-        let validated = validated?;
-        scores.push(Scores {
-            learner: learner.name().to_owned(),
+        .map(|fitted| train::cross_validate(fitted.learner, n_rounds, &folded(data, &folds)))
+        .collect::<Vec<_>>()
+        .into_iter()
+        .collect::<Result<Vec<_>, _>>()
+        .with_context(|| format!("grouping `{}`", grouping.name()))?;
+    for (fitted, validated) in fitted.iter_mut().zip(validated) {
+        fitted.scores.push(Scores {
+            learner: fitted.learner.name().to_owned(),
             grouping: grouping.name().to_owned(),
             n_rounds: n_rounds as usize,
             groups: folds.groups.clone(),
             folds: folds.folds.clone(),
             confidences: validated.confidences,
         });
-        fits.push((*grouping, validated.fits));
+        fitted.fits.push((grouping, validated.fits));
     }
-    Ok(Fitted { learner, rounds, fits, scores })
+    Ok(folds)
 }
 
 fn folded<'a>(data: &'a Matrix, folds: &'a Folds) -> Folded<'a> {

@@ -20,8 +20,11 @@ pub(super) fn retrieval(
     groupings: &[(Grouping, Folds)],
     fitted: &[Fitted],
 ) -> Result<Vec<Retrieval>> {
-    let Some(grouping) = options.evaluate.grouping_of_every_pair() else { return Ok(Vec::new()) };
-    let Some((_, folds)) = groupings.iter().find(|(g, _)| *g == grouping) else {
+    // The one that a report speaks of first, of those that keep scans apart.
+    let strictest = [Grouping::Place, Grouping::Log, Grouping::Scan]
+        .into_iter()
+        .find_map(|wanted| groupings.iter().find(|(grouping, _)| *grouping == wanted));
+    let Some(&(grouping, ref folds)) = strictest.filter(|_| options.evaluate.every_pair) else {
         return Ok(Vec::new());
     };
     let logs = by_log(keyframes);
