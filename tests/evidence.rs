@@ -52,7 +52,7 @@ fn scans_and_places_are_kept_apart_and_every_pair_is_scored_once() {
     let (scores, _) = read_scores(&out("scores.parquet"), &pairs).unwrap();
     let blocks: BTreeSet<_> = scores.iter().map(|s| (&*s.learner, &*s.grouping)).collect();
     assert_eq!((blocks.len(), scores.len()), (12, 12), "4 learners by 3 groupings, each once");
-    let place = |k: &Keyframe| [k.pose.x_m, k.pose.y_m].map(|m| (m / 20.0).floor().to_string());
+    let place = |k: &Keyframe| [k.pose.x_m, k.pose.y_m].map(|m| (m / 8.0).floor().to_string());
     for s in &scores {
         assert_eq!((s.folds.len(), s.confidences.len()), (300, 3000));
         assert!(s.confidences.iter().all(|c| c.is_finite()));
@@ -94,7 +94,7 @@ fn every_pair_of_a_log_is_counted_by_the_label_rules() {
                 let distance_m = a.pose.distance_m(&b.pose);
                 counts[if distance_m <= 1.5 {
                     0
-                } else if distance_m <= 50.0 {
+                } else if distance_m <= 20.0 {
                     1
                 } else {
                     2

@@ -107,7 +107,7 @@ pub(crate) fn name_of(learner: &str) -> String {
 /// What a grouping keeps on one side of a fold.
 fn meaning_of(grouping: &str) -> &'static str {
     match grouping {
-        "pair" => "pairs dealt at random: the paper\u{2019}s protocol",
+        "pair" => "pairs dealt at random, the paper\u{2019}s protocol",
         "scan" => "no scan on both sides",
         "place" => "no block of ground on both sides",
         "log" => "no log on both sides",
