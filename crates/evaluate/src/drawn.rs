@@ -3,7 +3,7 @@
 use dataset::{Label, Pose2};
 
 use crate::figures::{Axis, Chart, Cut, Figure, Heat, Scatter, Series, map, scan_pair, ticks};
-use crate::report::{distinct, name_of, percent};
+use crate::report::{PAPER_ERROR_BELOW, PAPER_ROUNDS, distinct, name_of, percent};
 use crate::sketches::{Kind, Sketches};
 use crate::{ErrorRow, Evaluation, Input};
 
@@ -77,7 +77,13 @@ fn error_chart(input: &Input<'_>, evaluation: &Evaluation, grouping: &str) -> Ch
             }
         })
         .collect();
+    // The paper dealt pairs at random.
+    let is_papers = grouping == "pair" && PAPER_ROUNDS as usize <= n_rounds;
     Chart {
+        below: is_papers.then(|| {
+            let text = format!("the paper, T = {PAPER_ROUNDS}");
+            (f64::from(PAPER_ROUNDS), PAPER_ERROR_BELOW, text)
+        }),
         id: format!("error-curve-{grouping}"),
         description: format!("Error against rounds, grouping {grouping}"),
         x: Axis {
@@ -143,6 +149,7 @@ fn precision_recall_chart(evaluation: &Evaluation, grouping: &str) -> Chart {
         })
         .collect();
     Chart {
+        below: None,
         id: format!("precision-recall-{grouping}"),
         description: format!("Precision against recall, grouping {grouping}"),
         x: recall_axis(),
@@ -166,6 +173,7 @@ fn retrieval_chart(input: &Input<'_>) -> Option<Chart> {
         })
         .collect();
     (!series.is_empty()).then(|| Chart {
+        below: None,
         id: "every-pair".to_owned(),
         description: "Precision against recall among all pairs of keyframes".to_owned(),
         x: recall_axis(),

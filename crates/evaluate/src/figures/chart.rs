@@ -30,6 +30,8 @@ pub(crate) struct Chart {
     pub(crate) x: Axis,
     pub(crate) y: Axis,
     pub(crate) series: Vec<Series>,
+    /// A bound that others report: below this value at this place.
+    pub(crate) below: Option<(f64, f64, String)>,
 }
 
 /// Drawn small, so that text can be read on a phone.
@@ -71,6 +73,13 @@ impl Chart {
                         @for (x, y, text) in &series.marks {
                             circle cx=(px(self.at_x(*x))) cy=(px(self.at_y(*y))) r="4" { title { (text) } }
                         }
+                    }
+                }
+                @if let Some((x, y, text)) = &self.below {
+                    @let (x, y) = (self.at_x(*x), self.at_y(*y));
+                    g class="below" {
+                        path d={ "M" (px(x - 12.0)) " " (px(y)) "h12m-6 0v10m-3.5 -4l3.5 4l3.5 -4" } {}
+                        text x=(px(x - 17.0)) y=(px(y + 4.5)) text-anchor="end" { (text) }
                     }
                 }
                 g class="legend" {

@@ -16,7 +16,7 @@ pub(super) fn every_pair(input: &Input<'_>, figures: &[Figure]) -> Markup {
             h2 { "Every pair of a log" }
             p {
                 "A robot that looks for loops meets few matches among many pairs. Here every scan is compared with every earlier scan "
-                "of its log, but for the recent path, by classifiers that saw neither scan\u{2019}s fold (by " (first.grouping) "). "
+                "of its log, but for the recent path, by classifiers that saw neither scan\u{2019}s fold (by " (first.grouping) "); their confidences are taken together as they are. "
                 "Of " (thousands(first.n_positive + first.n_negative)) " pairs " (thousands(first.n_positive))
                 " are matches: " b { (prevalence(first)) } ". "
                 (thousands(first.n_ambiguous)) " pairs that are neither near nor far are left out; "
