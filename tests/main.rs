@@ -3,6 +3,7 @@
 mod batch;
 mod encodings;
 mod errors;
+mod evidence;
 mod import;
 mod poses;
 mod real_logs;

@@ -252,7 +252,7 @@ fn log_and_verify_tell_where_things_come_from_and_what_has_changed() {
     for line in [
         "pairs.parquet has changed since `label` made it",
         "report.html is missing (made by `evaluate`)",
-        "pairs.parquet is newer than what `train` made from it: models/",
+        "pairs.parquet is newer than what `train` made from it: grid.parquet, models/",
     ] {
         assert!(told.stdout.contains(line), "`{line}` is not in:\n{}", told.stdout);
     }

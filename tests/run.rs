@@ -25,6 +25,9 @@ pairs_per_class = 150
 
 [train]
 rounds = 20
+
+[evaluate]
+groupings = ["pair", "scan"]
 "#;
 
 const STAGES: [&str; 7] =
@@ -44,13 +47,20 @@ fn same_bytes_for_every_thread_count_stage_by_stage_and_other_bytes_for_another_
         "features.parquet",
         "scores.parquet",
         "rounds.parquet",
+        "retrieval.parquet",
+        "grid.parquet",
         "models/drive-discrete/1.0.0/model.json",
         "models/drive-gentle_line/1.0.0/model.json",
         "models/drive-gentle_stump/1.0.0/model.json",
+        "evaluation/summary.parquet",
+        "evaluation/summary.json",
         "evaluation/errors.parquet",
         "evaluation/precision_recall.parquet",
         "evaluation/selection.parquet",
         "evaluation/mistakes.parquet",
+        "evaluation/figures/error-curve-scan.svg",
+        "evaluation/figures/ground-1.svg",
+        "evaluation/figures/match-1.svg",
         "report.html",
     ] {
         assert!(expected.contains_key(name), "{name} is missing");
@@ -144,9 +154,16 @@ fn results_go_to_stdout_and_nothing_else_does() {
         assert!(finished.stdout.lines().any(|line| line.starts_with(stage)), "{stage}");
     }
     let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
-    for part in
-        ["id=\"error-curve\"", "id=\"precision-recall\"", "Features chosen", "Map of site building"]
-    {
+    for part in [
+        "id=\"error-curve-pair\"",
+        "id=\"precision-recall-scan\"",
+        "id=\"every-pair\"",
+        "id=\"first-rounds\"",
+        "id=\"false-alarm-1\"",
+        "id=\"ground-1\"",
+        "Features chosen",
+        "Map of site building",
+    ] {
         assert!(report.contains(part), "{part}");
     }
     // It opens offline and carries no script.

@@ -3,7 +3,7 @@
 usage: baselines.py RUN_FOLDER
 
 k-NN: 5 neighbours, features scaled on the training fold; the SVM: squared hinge loss, C = 1, the bias
-regularised. Folds are those of scores.parquet.
+regularised. Folds are those of scores.parquet, grouping `pair`, where a pair touches one fold.
 """
 
 import sys
@@ -20,7 +20,7 @@ scores = pd.read_parquet(f"{folder}/scores.parquet")
 for learner, tolerance in [("knn", 1e-9), ("svm", 1e-4)]:
     rows = scores[(scores.learner == learner) & (scores.grouping == "pair")]
     of = lambda side: features.loc[list(zip(rows[f"{side}_log"], rows[f"{side}_scan"]))].to_numpy()
-    F, y, folds = np.abs(of("query") - of("reference")), rows.label.to_numpy(), rows.fold.to_numpy()
+    F, y, folds = np.abs(of("query") - of("reference")), rows.label.to_numpy(), rows.query_fold.to_numpy()
     ours = np.array([c[-1] for c in rows.confidences])
     theirs = np.empty(len(rows))
     for fold in np.unique(folds):

@@ -19,4 +19,4 @@ pub use keyframe::{Keyframe, ScanId};
 pub use pair::{Label, Pair};
 pub use pose::{NoPose, Pose2, StampedPose, Trajectory, wrap_angle};
 pub use scan::{FULL_RING_DEG, RangeLimits, Scan, Unusable};
-pub use scores::{BoostingRound, Scores};
+pub use scores::{BoostingRound, GridCell, LeftOut, Retrieval, RetrievalPoint, Scores};

@@ -1,5 +1,5 @@
 /// Confidences of all pairs under one learner and one grouping of the folds, each by a
-/// classifier that did not see the pair.
+/// classifier that saw no pair of a fold that the pair touches.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scores {
     /// The learner's name.
@@ -8,8 +8,10 @@ pub struct Scores {
     pub grouping: String,
     /// Rounds that each confidence is given for.
     pub n_rounds: usize,
-    /// Fold of each pair, `(n_pairs,)`.
-    pub folds: Vec<u32>,
+    /// Group of each pair's query and of its reference, `(n_pairs, 2)`.
+    pub groups: Vec<[u32; 2]>,
+    /// Fold of each pair's query and of its reference, `(n_pairs, 2)`.
+    pub folds: Vec<[u32; 2]>,
     /// Confidence of each pair after each round, row-major, `(n_pairs, n_rounds)`.
     pub confidences: Vec<f64>,
 }
@@ -21,13 +23,22 @@ impl Scores {
     }
 }
 
+/// The folds that a fit did not see.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct LeftOut {
+    /// What was kept together on one side of a fold.
+    pub grouping: String,
+    /// The two folds, ascending; twice the same where one was left out.
+    pub folds: [u32; 2],
+}
+
 /// One round of boosting, as it was fitted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoostingRound {
     /// The learner's name.
     pub learner: String,
-    /// Grouping and number of the fold left out; none for the model fitted on all pairs.
-    pub left_out: Option<(String, u32)>,
+    /// What the fit did not see; none for the model fitted on all pairs.
+    pub left_out: Option<LeftOut>,
     /// Round, from 1.
     pub round: u32,
     /// Name of the feature chosen.
@@ -37,4 +48,67 @@ pub struct BoostingRound {
     /// Error under the round's weights: the share of wrong labels (`discrete`) or the mean of
     /// the squared residuals (gentle learners).
     pub weighted_error: f64,
+}
+
+/// How well one learner finds the positives among all pairs of keyframes, as they come: at their
+/// natural prevalence.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Retrieval {
+    /// The learner's name.
+    pub learner: String,
+    /// What was kept together on one side of a fold.
+    pub grouping: String,
+    /// The log whose keyframes are paired; none for the pairs of all logs together.
+    pub log: Option<String>,
+    /// Whether a pair that is neither positive nor negative counts as negative; it is left out
+    /// otherwise.
+    pub ambiguous_as_negative: bool,
+    /// Positive pairs scored.
+    pub n_positive: u64,
+    /// Negative pairs scored.
+    pub n_negative: u64,
+    /// Pairs left out: neither positive nor negative.
+    pub n_ambiguous: u64,
+    /// Pairs left out: no classifier could be trained without the folds they touch.
+    pub n_unscored: u64,
+    /// Every so many-th keyframe was a query, against all before it.
+    pub query_stride: u64,
+    /// Average precision; none without positives.
+    pub average_precision: Option<f64>,
+    /// Greatest share of the positives called positive while no negative is.
+    pub recall_at_full_precision: Option<f64>,
+    /// Greatest share of the positives called positive while at most 1 % of the negatives are.
+    pub detection_at_1_percent: Option<f64>,
+    /// Greatest harmonic mean of precision and recall over all thresholds.
+    pub max_f1: Option<f64>,
+    /// Points of falling threshold, thinned: the counts are exact.
+    pub curve: Vec<RetrievalPoint>,
+}
+
+/// A point of a [`Retrieval`]'s curve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RetrievalPoint {
+    /// Pairs whose confidence is not less than this are called positive.
+    pub threshold: f64,
+    /// Positives called positive.
+    pub true_positive: u64,
+    /// Negatives called positive.
+    pub false_positive: u64,
+}
+
+/// The cross-validated error of a learner on pairs drawn by other label rules.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GridCell {
+    /// The learner's name.
+    pub learner: String,
+    /// What was kept together on one side of a fold.
+    pub grouping: String,
+    /// `label.positive_radius_m` \[m\].
+    pub positive_radius_m: f64,
+    /// `label.negative_min_m` \[m\].
+    pub negative_min_m: f64,
+    /// `label.min_travel_gap_m` \[m\].
+    pub min_travel_gap_m: f64,
+    /// Share of the pairs given the wrong label at the last round, or why there is none.
+    pub error: Result<f64, String>,
 }

@@ -6,10 +6,14 @@ use std::path::Path;
 
 use dataset::tables::scans::{read_scan_headers, read_scans, write_scans};
 use dataset::tables::{
-    FeatureTable, Provenance, TableError, read_features, read_keyframes, read_pairs, read_poses,
-    write_features, write_keyframes, write_pairs, write_poses,
+    FeatureTable, Provenance, TableError, read_features, read_grid, read_keyframes, read_pairs,
+    read_poses, read_retrieval, read_rounds, read_scores, write_features, write_grid,
+    write_keyframes, write_pairs, write_poses, write_retrieval, write_rounds, write_scores,
 };
-use dataset::{Dropped, Keyframe, Label, Pair, Pose2, Scan, ScanId, StampedPose, Trajectory};
+use dataset::{
+    BoostingRound, Dropped, GridCell, Keyframe, Label, LeftOut, Pair, Pose2, Retrieval,
+    RetrievalPoint, Scan, ScanId, Scores, StampedPose, Trajectory,
+};
 
 fn provenance() -> Provenance {
     Provenance {
@@ -166,6 +170,89 @@ fn nouns_survive() {
     let (read, _) = read_features(&at("features")).unwrap();
     assert_eq!(read, table);
     assert_eq!(read.row(1), [3.0, 4.0]);
+}
+
+#[test]
+fn evidence_survives() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let pair = |query, label| Pair {
+        query,
+        reference: 0,
+        label,
+        distance_m: 1.0,
+        heading_difference_rad: None,
+        travel_gap_m: 0.5,
+    };
+    let pairs = [pair(1, Label::Positive), pair(2, Label::Negative)];
+    let scores = vec![Scores {
+        learner: "discrete".into(),
+        grouping: "place".into(),
+        n_rounds: 2,
+        groups: vec![[3, 4], [3, 5]],
+        folds: vec![[0, 1], [0, 0]],
+        confidences: vec![0.5, 1.5, -0.5, -2.5],
+    }];
+    write_scores(&at("scores"), &provenance(), &keyframes(), &pairs, &scores).unwrap();
+    assert_eq!(read_scores(&at("scores"), &pairs).unwrap(), (scores, provenance()));
+
+    let round = |left_out| BoostingRound {
+        learner: "discrete".into(),
+        left_out,
+        round: 1,
+        feature: "size".into(),
+        threshold: Some(0.5),
+        weighted_error: 0.25,
+    };
+    let left_out = LeftOut { grouping: "place".into(), folds: [2, 7] };
+    let rounds = vec![round(None), round(Some(left_out))];
+    write_rounds(&at("rounds"), &provenance(), &rounds).unwrap();
+    assert_eq!(read_rounds(&at("rounds")).unwrap(), (rounds, provenance()));
+
+    let found = Retrieval {
+        learner: "discrete".into(),
+        grouping: "place".into(),
+        log: None,
+        ambiguous_as_negative: true,
+        n_positive: 2,
+        n_negative: 5_000_000_000,
+        n_ambiguous: 3,
+        n_unscored: 4,
+        query_stride: 1,
+        average_precision: Some(0.75),
+        recall_at_full_precision: Some(0.5),
+        detection_at_1_percent: Some(1.0),
+        max_f1: Some(0.8),
+        curve: vec![
+            RetrievalPoint { threshold: 1.5, true_positive: 1, false_positive: 0 },
+            RetrievalPoint { threshold: -0.5, true_positive: 2, false_positive: 9 },
+        ],
+    };
+    let none = Retrieval {
+        log: Some("a".into()),
+        n_positive: 0,
+        average_precision: None,
+        recall_at_full_precision: None,
+        detection_at_1_percent: None,
+        max_f1: None,
+        curve: Vec::new(),
+        ..found.clone()
+    };
+    let rows = vec![found, none];
+    write_retrieval(&at("retrieval"), &provenance(), &rows).unwrap();
+    assert_eq!(read_retrieval(&at("retrieval")).unwrap(), (rows, provenance()));
+
+    let cell = |error| GridCell {
+        learner: "knn".into(),
+        grouping: "scan".into(),
+        positive_radius_m: 1.5,
+        negative_min_m: 50.0,
+        min_travel_gap_m: 0.0,
+        error,
+    };
+    let cells = vec![cell(Ok(0.125)), cell(Err("3 of 9 positive pairs".into()))];
+    write_grid(&at("grid"), &provenance(), &cells).unwrap();
+    assert_eq!(read_grid(&at("grid")).unwrap(), (cells, provenance()));
 }
 
 #[test]

@@ -2,16 +2,29 @@
 //!
 //! Invariant: this crate sees scores, never models.
 
+mod bootstrap;
+mod drawn;
 mod figures;
+mod json;
 mod metrics;
 mod report;
+mod retrieval;
+mod sketches;
 mod tables;
 
-use dataset::{BoostingRound, Dropped, Keyframe, Label, Pair, Scores};
+use dataset::tables::FeatureTable;
+use dataset::{BoostingRound, Dropped, GridCell, Keyframe, Label, Pair, Retrieval, Scores};
 
-pub use figures::path_svg;
-pub use metrics::{Confusion, OperatingPoint, PrPoint, operating_points, precision_recall};
+pub use bootstrap::{Estimate, MIN_GROUPS, Summary};
+pub use drawn::figures;
+pub use figures::{Figure, path_svg, write_figures};
+pub use json::json;
+pub use metrics::{
+    Confusion, Measures, OperatingPoint, PrPoint, operating_points, precision_recall,
+};
 pub use report::{Fact, report};
+pub use retrieval::{Ranked, rank};
+pub use sketches::Sketches;
 pub use tables::write_tables;
 
 /// Rounds at which precision-recall is drawn (the paper's Figure 5).
@@ -26,10 +39,51 @@ pub struct Input<'a> {
     pub pairs: &'a [Pair],
     /// Their scores, `(n_learners x n_groupings,)`.
     pub scores: &'a [Scores],
+    /// Groupings that were asked for and could not be evaluated, and why.
+    pub left_out: &'a [String],
     /// What each round chose.
     pub rounds: &'a [BoostingRound],
+    /// How well all pairs are ranked at their natural prevalence; empty where not asked for.
+    pub retrieval: &'a [Retrieval],
+    /// Errors under other label rules; empty where not asked for.
+    pub grid: &'a [GridCell],
+    /// The features of the keyframes, a row each.
+    pub features: &'a FeatureTable,
+    /// What is known of each feature; may be empty.
+    pub feature_rows: &'a [FeatureRow],
+    /// Bootstrap resamples for confidence intervals.
+    pub resamples: u32,
+    /// The run's seed.
+    pub seed: u64,
     /// What all stages left out.
     pub dropped: &'a Dropped,
+}
+
+/// What is known of one feature.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FeatureRow {
+    /// Its name.
+    pub name: String,
+    /// Area under the ROC curve of the feature alone: 0.5 tells nothing, 1 all.
+    pub auc: f64,
+    /// How little it moves when a scan is thinned to half its points; as its source defines it.
+    pub stability: f64,
+    /// Rounds that chose it, of all learners' fits.
+    pub chosen: usize,
+}
+
+impl Input<'_> {
+    /// Whether a learner boosts; one without rounds is a baseline.
+    pub(crate) fn is_boosted(&self, learner: &str) -> bool {
+        self.rounds.iter().any(|round| round.learner == learner)
+    }
+
+    /// How well all pairs are ranked, of all logs together.
+    pub(crate) fn retrieval_of_all(&self) -> impl Iterator<Item = &Retrieval> {
+        let has_all = self.retrieval.iter().any(|r| r.log.is_none());
+        // Of one log alone, that log is all.
+        self.retrieval.iter().filter(move |r| r.log.is_none() || !has_all)
+    }
 }
 
 /// Errors of one learner under one grouping after so many rounds.
@@ -74,6 +128,8 @@ pub struct Mistake {
 /// All that is measured.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Evaluation {
+    /// For each learner and grouping, after the last round.
+    pub summaries: Vec<Summary>,
     /// For each learner, grouping and T = 1, 2, ...
     pub errors: Vec<ErrorRow>,
     /// For each learner and grouping, at T = 10 (or the last round, if that is less).
@@ -82,10 +138,45 @@ pub struct Evaluation {
     pub mistakes: Vec<Mistake>,
 }
 
+impl Evaluation {
+    /// The groupings, in the order asked for.
+    pub(crate) fn groupings(&self) -> Vec<&str> {
+        report::distinct(self.summaries.iter().map(|s| &*s.grouping))
+    }
+
+    /// The grouping that the report speaks of first: `place` where it was asked for, else the one
+    /// that keeps most apart.
+    pub(crate) fn first_grouping(&self) -> Option<&str> {
+        let groupings = self.groupings();
+        ["place", "log", "scan", "pair"].into_iter().find(|g| groupings.contains(g))
+    }
+
+    /// The learner of the least error under the first grouping, of the boosted ones or of the
+    /// baselines.
+    fn least_error(&self, input: &Input<'_>, boosted: bool) -> Option<&Summary> {
+        let first = self.first_grouping()?;
+        self.summaries
+            .iter()
+            .filter(|s| s.grouping == first && input.is_boosted(&s.learner) == boosted)
+            .min_by(|a, b| a.error.value.total_cmp(&b.error.value))
+    }
+
+    pub(crate) fn best_boosted(&self, input: &Input<'_>) -> Option<&Summary> {
+        self.least_error(input, true)
+    }
+
+    pub(crate) fn best_baseline(&self, input: &Input<'_>) -> Option<&Summary> {
+        self.least_error(input, false)
+    }
+}
+
 /// Measures.
 pub fn evaluate(input: &Input<'_>) -> Evaluation {
     let labels: Vec<Label> = input.pairs.iter().map(|pair| pair.label).collect();
-    let mut evaluation = Evaluation::default();
+    let mut evaluation = Evaluation {
+        summaries: bootstrap::summaries(&labels, input.scores, input.resamples, input.seed),
+        ..Evaluation::default()
+    };
     for scores in input.scores {
         let (learner, grouping) = (&scores.learner, &scores.grouping);
         for rounds in 1..=scores.n_rounds {

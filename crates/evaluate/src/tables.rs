@@ -6,13 +6,14 @@ use std::sync::Arc;
 use arrow_array::{ArrayRef, Float64Array, Int8Array, StringArray, UInt32Array, UInt64Array};
 use dataset::tables::{Provenance, Result, batch, floats, strings, write_table};
 
-use crate::{Evaluation, Input};
+use crate::{Evaluation, Input, Summary};
 
-/// Writes `errors`, `precision_recall`, `selection` and `mistakes` into a folder; returns their
-/// paths.
+/// Writes `summary`, `errors`, `precision_recall`, `selection` and `mistakes` into a folder; returns
+/// their paths.
 ///
 /// | table | a row is | columns |
 /// |---|---|---|
+/// | `summary` | a measure of a learner after the last round | `learner`, `grouping`, `rounds`, `folds`, `groups`, `measure` (`error`, `average_precision`, `recall_at_full_precision`, `detection_at_1_percent`, `max_f1`), `value`, `low` and `high` (the 95 % interval; null where there are too few groups) |
 /// | `errors` | a learner after T rounds | `learner`, `grouping`, `rounds`, `error`, `precision` (null where no pair is called positive), `recall`, and the four counts |
 /// | `precision_recall` | a threshold | `learner`, `grouping`, `rounds`, `threshold`, `precision`, `recall`, `false_alarm` |
 /// | `selection` | a round of a fit | `learner`, `grouping`, `fold` (both null: fitted on all pairs), `round`, `feature`, `threshold`, `weighted_error`, `error` (cross-validated, after this round; only where fitted on all pairs) |
@@ -30,6 +31,27 @@ pub fn write_tables(
         written.push(path);
         Ok(())
     };
+
+    let rows = || evaluation.summaries.iter().flat_map(|s| s.measures().map(|m| (s, m.0, m.1)));
+    let numbers = |of: fn(&Summary) -> u32| -> ArrayRef {
+        Arc::new(UInt32Array::from_iter_values(rows().map(|(s, _, _)| of(s))))
+    };
+    let bound = |end: usize| -> ArrayRef {
+        let bounds = rows().map(|(_, _, e)| e.interval.map(|interval| interval[end]));
+        Arc::new(bounds.collect::<Float64Array>())
+    };
+    let columns: Vec<(&str, ArrayRef)> = vec![
+        ("learner", strings(rows().map(|(s, _, _)| &*s.learner))),
+        ("grouping", strings(rows().map(|(s, _, _)| &*s.grouping))),
+        ("rounds", numbers(|s| s.rounds as u32)),
+        ("folds", numbers(|s| s.folds)),
+        ("groups", numbers(|s| s.groups as u32)),
+        ("measure", strings(rows().map(|(_, name, _)| name))),
+        ("value", floats(rows().map(|(_, _, e)| e.value))),
+        ("low", bound(0)),
+        ("high", bound(1)),
+    ];
+    write("summary", columns, &["low", "high"])?;
 
     let rows = &evaluation.errors;
     let count = |of: fn(&crate::Confusion) -> usize| -> ArrayRef {
@@ -67,6 +89,10 @@ pub fn write_tables(
     write("precision_recall", columns, &[])?;
 
     let rows = input.rounds;
+    let left_out = |of: usize| -> ArrayRef {
+        let folds = rows.iter().map(|r| r.left_out.as_ref().map(|l| l.folds[of]));
+        Arc::new(folds.collect::<UInt32Array>())
+    };
     let error_after = |r: &dataset::BoostingRound| {
         let of_all = r.left_out.is_none();
         let row = evaluation
@@ -80,22 +106,20 @@ pub fn write_tables(
         (
             "grouping",
             Arc::new(
-                rows.iter().map(|r| r.left_out.as_ref().map(|l| &*l.0)).collect::<StringArray>(),
+                rows.iter()
+                    .map(|r| r.left_out.as_ref().map(|l| &*l.grouping))
+                    .collect::<StringArray>(),
             ),
         ),
-        (
-            "fold",
-            Arc::new(
-                rows.iter().map(|r| r.left_out.as_ref().map(|l| l.1)).collect::<UInt32Array>(),
-            ),
-        ),
+        ("fold", left_out(0)),
+        ("other_fold", left_out(1)),
         ("round", Arc::new(UInt32Array::from_iter_values(rows.iter().map(|r| r.round)))),
         ("feature", strings(rows.iter().map(|r| &*r.feature))),
         ("threshold", Arc::new(rows.iter().map(|r| r.threshold).collect::<Float64Array>())),
         ("weighted_error", floats(rows.iter().map(|r| r.weighted_error))),
         ("error", Arc::new(rows.iter().map(error_after).collect::<Float64Array>())),
     ];
-    write("selection", columns, &["grouping", "fold", "threshold", "error"])?;
+    write("selection", columns, &["grouping", "fold", "other_fold", "threshold", "error"])?;
 
     let rows = &evaluation.mistakes;
     let pair = |m: &crate::Mistake| &input.pairs[m.pair];

@@ -51,6 +51,18 @@ pub(crate) fn keyframe_hash(seed: u64, keyframe: &Keyframe) -> u64 {
     u64::from_le_bytes([a, b, c, d, e, f, g, h])
 }
 
+/// A pseudo-random number from the seed and the parts of a name.
+pub(crate) fn name_hash(seed: u64, parts: &[&[u8]]) -> u64 {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&seed.to_le_bytes());
+    for part in parts {
+        hasher.update(&(part.len() as u64).to_le_bytes());
+        hasher.update(part);
+    }
+    let [a, b, c, d, e, f, g, h, ..] = *hasher.finalize().as_bytes();
+    u64::from_le_bytes([a, b, c, d, e, f, g, h])
+}
+
 /// The key of a pair, the same in both orders: the finaliser of SplitMix64 (Steele, Lea and
 /// Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014) over both hashes.
 #[inline]

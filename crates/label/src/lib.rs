@@ -16,7 +16,7 @@ use dataset::{FULL_RING_DEG, Keyframe, Label, Pair};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-pub use folds::{Grouping, folds};
+pub use folds::{Dealing, Folds, Grouping, folds};
 
 use draw::{Draw, keyframe_hash, pair_key};
 
@@ -128,6 +128,18 @@ pub enum LabelError {
         /// What it must be.
         expected: &'static str,
     },
+    /// A grouping that leaves nothing to hold out.
+    #[error(
+        "grouping `{grouping}` needs 2 {groups} or more, found {found}; add logs, or leave `{grouping}` out of `evaluate.groupings`"
+    )]
+    TooFewGroups {
+        /// The grouping.
+        grouping: &'static str,
+        /// What its groups are called.
+        groups: &'static str,
+        /// Groups there are.
+        found: usize,
+    },
     /// More folds than pairs of a class.
     #[error(
         "{folds} folds need at least {folds} pairs of each class, there are {found} {class} ones; lower `evaluate.folds` or raise `label.pairs_per_class`"
@@ -208,6 +220,16 @@ pub fn label(
         .collect();
     pairs.sort_by_key(|pair| (pair.query, pair.reference));
     Ok((pairs, candidates))
+}
+
+/// The label of two keyframes of one log by the label rules; none where they are neither near nor
+/// far enough. How far apart they are along the path is left to the caller.
+pub fn label_of(options: &Options, a: &Keyframe, b: &Keyframe) -> Option<Label> {
+    match kind(options, a, b) {
+        Kind::Labelled(label) => Some(label),
+        Kind::NearInPath => Some(Label::Positive),
+        Kind::Ambiguous | Kind::WithoutCommonFrame => None,
+    }
 }
 
 fn kind(options: &Options, a: &Keyframe, b: &Keyframe) -> Kind {

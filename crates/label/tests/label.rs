@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
 use dataset::{Keyframe, Label, Pair, Pose2, ScanId};
-use label::{Candidates, Grouping, LabelError, Options, folds, label};
+use label::{Candidates, Dealing, Grouping, LabelError, Options, folds, label};
 
 /// A full ring at (x, y), heading along x, in a log that is its own site; 100 m of path a scan.
 fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
@@ -324,6 +324,10 @@ fn an_option_out_of_range_is_named() {
     check_refused(Options { pairs_per_class: 0, ..good() }, "pairs_per_class");
 }
 
+fn by(grouping: Grouping, n_folds: u32, seed: u64) -> Dealing {
+    Dealing { grouping, n_folds, place_m: 2.0, seed }
+}
+
 /// The first pairs of a draw: so many positive, so many negative.
 fn some_pairs(keyframes: &[Keyframe], n_positive: usize, n_negative: usize) -> Vec<Pair> {
     let (pairs, _) = label(&options(1.5, 5.0, 50), 2436, keyframes).unwrap();
@@ -336,7 +340,9 @@ fn each_class_is_dealt_evenly() {
     let keyframes = three_logs();
     for (n_folds, n_positive, n_negative) in [(2, 2, 3), (5, 23, 50), (7, 49, 8), (10, 50, 50)] {
         let pairs = some_pairs(&keyframes, n_positive, n_negative);
-        let dealt = folds(Grouping::Pair, n_folds, 7, &keyframes, &pairs).unwrap();
+        let dealt = folds(&by(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap();
+        assert!(dealt.folds.iter().all(|[a, b]| a == b), "a pair touches one fold");
+        let dealt: Vec<u32> = dealt.folds.iter().map(|folds| folds[0]).collect();
         assert_eq!(dealt.len(), pairs.len(), "one fold for every pair");
         assert!(dealt.iter().all(|&fold| fold < n_folds));
         for (class, n) in [(Label::Positive, n_positive), (Label::Negative, n_negative)] {
@@ -355,7 +361,7 @@ fn folds_follow_the_seed_and_the_scans_and_not_the_order_of_pairs() {
     let keyframes = three_logs();
     let pairs = some_pairs(&keyframes, 50, 50);
     let dealt = |seed, keyframes: &[Keyframe], pairs: &[Pair]| {
-        folds(Grouping::Pair, 10, seed, keyframes, pairs).unwrap()
+        folds(&by(Grouping::Pair, 10, seed), keyframes, pairs).unwrap().folds
     };
     let expected = dealt(7, &keyframes, &pairs);
     assert_eq!(dealt(7, &keyframes, &pairs), expected);
@@ -378,7 +384,7 @@ fn too_few_folds_or_too_few_pairs_for_them_are_refused() {
     let keyframes = three_logs();
     let message = |n_folds, n_positive, n_negative| {
         let pairs = some_pairs(&keyframes, n_positive, n_negative);
-        folds(Grouping::Pair, n_folds, 7, &keyframes, &pairs).unwrap_err()
+        folds(&by(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap_err()
     };
     for n_folds in [0, 1] {
         let refused = message(n_folds, 20, 20).to_string();
@@ -391,4 +397,58 @@ fn too_few_folds_or_too_few_pairs_for_them_are_refused() {
     let text = negative.to_string();
     assert!(text.contains("at least 5 pairs of each class, there are 0 negative"), "{text}");
     assert!(text.contains("lower `evaluate.folds`"), "{text}");
+}
+
+/// Whatever the grouping, a scan, a block of ground or a log lies in one fold, and every pair
+/// touches the folds of its two keyframes.
+#[test]
+fn nothing_that_is_kept_together_is_in_two_folds() {
+    let keyframes = three_logs();
+    let pairs = some_pairs(&keyframes, 50, 50);
+    for (grouping, n_folds, n_groups) in
+        [(Grouping::Scan, 10, 75), (Grouping::Place, 10, 21), (Grouping::Log, 3, 3)]
+    {
+        let dealt = folds(&by(grouping, 10, 7), &keyframes, &pairs).unwrap();
+        assert_eq!(dealt.n_folds, n_folds, "logs are but three: a fold for each");
+        assert_eq!(dealt.of_keyframes.len(), keyframes.len());
+        let mut fold_of = BTreeMap::new();
+        for (keyframe, &fold) in keyframes.iter().zip(&dealt.of_keyframes) {
+            let cell = |metres: f64| (metres / 2.0).floor().to_string();
+            let name = match grouping {
+                Grouping::Log => keyframe.id.log.to_string(),
+                Grouping::Place => cell(keyframe.pose.x_m) + " " + &cell(keyframe.pose.y_m),
+                _ => format!("{:?}", keyframe.id),
+            };
+            assert_eq!(*fold_of.entry(name).or_insert(fold), fold, "{grouping:?} in two folds");
+        }
+        // x = 0 to 6.5 m and 20 to 24 m: cells 0 to 3 and 10 to 12; y = 0 to 4 m: cells 0 to 2. The
+        // blocks of log a and b: 4 x 3; of c: 3 x 3.
+        assert_eq!(fold_of.len(), n_groups, "{grouping:?}");
+        for fold in 0..n_folds {
+            let held = dealt.of_keyframes.iter().filter(|&&f| f == fold).count();
+            assert!(0 < held && held < 75 / 2, "{grouping:?}: {held} keyframes in fold {fold}");
+        }
+        for ((pair, folds), groups) in pairs.iter().zip(&dealt.folds).zip(&dealt.groups) {
+            let of = |k: usize| dealt.of_keyframes[k];
+            assert_eq!(*folds, [of(pair.query), of(pair.reference)]);
+            if folds[0] != folds[1] {
+                assert_ne!(groups[0], groups[1], "a group lies in one fold");
+            }
+        }
+        assert_eq!(folds(&by(grouping, 10, 7), &keyframes, &pairs).unwrap(), dealt);
+        if grouping != Grouping::Log {
+            assert_ne!(folds(&by(grouping, 10, 8), &keyframes, &pairs).unwrap(), dealt);
+        }
+    }
+}
+
+#[test]
+fn one_log_cannot_be_held_out() {
+    let keyframes = line(&[0.0, 1.0, 60.0, 61.0]);
+    let error = folds(&by(Grouping::Log, 10, 7), &keyframes, &[]).unwrap_err();
+    let expected = LabelError::TooFewGroups { grouping: "log", groups: "logs", found: 1 };
+    assert_eq!(error, expected);
+    assert!(error.to_string().contains("leave `log` out of `evaluate.groupings`"), "{error}");
+    let error = folds(&Dealing { place_m: 0.0, ..by(Grouping::Place, 2, 7) }, &keyframes, &[]);
+    assert!(error.unwrap_err().to_string().contains("`evaluate.place_m` is 0"));
 }

@@ -57,7 +57,13 @@ enum Command {
     /// Pairs and features -> models/, scores.parquet, rounds.parquet
     Train(PipelineArgs),
     /// Scores -> evaluation/, report.html
-    Evaluate(PipelineArgs),
+    Evaluate {
+        #[command(flatten)]
+        args: PipelineArgs,
+        /// Print the numbers of the report as JSON, and nothing else
+        #[arg(long)]
+        json: bool,
+    },
     /// Tell what a log holds and which pipeline would fit it
     Inspect(InspectArgs),
     /// Turn a recording in another format into an MCAP log
@@ -178,7 +184,12 @@ impl Cli {
             Command::Label(args) => args.execute(always, true, stages::label::run),
             Command::Featurize(args) => args.execute(always, true, stages::featurize::run),
             Command::Train(args) => args.execute(always, true, stages::train::run),
-            Command::Evaluate(args) => args.execute(always, true, stages::evaluate::run),
+            Command::Evaluate { args, json: false } => {
+                args.execute(always, true, stages::evaluate::run)
+            }
+            Command::Evaluate { args, json: true } => {
+                args.execute(Mode::Quiet, true, stages::evaluate::run_and_print)
+            }
             Command::Inspect(args) => inspect::inspect(&args),
             Command::Import(args) => args.execute(),
             Command::Log { artifact } => done(lineage::log(&artifact)),

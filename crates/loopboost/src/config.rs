@@ -9,6 +9,7 @@ use label::Grouping;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
+use train::Learner;
 
 use crate::logs::{self, LogFile};
 
@@ -85,20 +86,129 @@ pub(crate) struct IngestSection {
 
 /// More rounds than anybody boosts; a slip of the hand would take all memory.
 const MAX_ROUNDS: u32 = 100_000;
+/// As for the rounds.
+const MAX_RESAMPLES: u32 = 100_000;
 
 /// `[evaluate]`
 #[derive(Debug, Clone, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct EvaluateSection {
-    /// Folds of the cross-validation.
+    /// Folds of the cross-validation, at most: a grouping with fewer groups has a fold for each.
     pub(crate) folds: u32,
     /// What may not stand on both sides of a fold; each is evaluated.
     pub(crate) groupings: Vec<Grouping>,
+    /// A grouping that leaves too little to train on ends the run; otherwise it is left out, which
+    /// the run and its report tell.
+    pub(crate) require_groupings: bool,
+    /// Width of the squares of ground that the grouping `place` keeps together \[m\].
+    pub(crate) place_m: f64,
+    /// Bootstrap resamples of the groups, for confidence intervals; 0 gives none.
+    pub(crate) resamples: u32,
+    /// Score every pair of keyframes of each log too, at the natural prevalence of positives.
+    pub(crate) every_pair: bool,
+    /// Of these, pairs with less path than this between them are left out \[m\].
+    pub(crate) recent_m: f64,
+    /// More pairs than this are thinned: every second, third, ... keyframe is a query, against all
+    /// keyframes before it. A million pairs take about 25 MB.
+    pub(crate) max_pairs: u64,
+    /// The error under other label rules.
+    pub(crate) grid: GridSection,
 }
 
 impl Default for EvaluateSection {
     fn default() -> Self {
-        Self { folds: 10, groupings: vec![Grouping::Pair] }
+        Self {
+            folds: 10,
+            groupings: vec![Grouping::Pair, Grouping::Place],
+            require_groupings: false,
+            place_m: 20.0,
+            resamples: 1000,
+            every_pair: true,
+            recent_m: 30.0,
+            max_pairs: 20_000_000,
+            grid: GridSection::default(),
+        }
+    }
+}
+
+impl EvaluateSection {
+    fn check(&self) -> Result<()> {
+        if self.folds < 2 {
+            return Err(anyhow!("`evaluate.folds` is {}, expected 2 or more", self.folds));
+        }
+        if self.groupings.iter().collect::<BTreeSet<_>>().len() < self.groupings.len() {
+            return Err(anyhow!("`evaluate.groupings` names a grouping twice"));
+        }
+        if self.groupings.is_empty() {
+            return Err(anyhow!("`evaluate.groupings` is empty, expected at least `pair`"));
+        }
+        let more_than_0 = |value: f64| value.is_finite() && 0.0 < value;
+        if !more_than_0(self.place_m) {
+            return Err(anyhow!("`evaluate.place_m` is {}, expected more than 0", self.place_m));
+        }
+        if !(self.recent_m.is_finite() && 0.0 <= self.recent_m) {
+            return Err(anyhow!("`evaluate.recent_m` is {}, expected 0 or more", self.recent_m));
+        }
+        if self.max_pairs == 0 {
+            return Err(anyhow!("`evaluate.max_pairs` is 0, expected 1 or more"));
+        }
+        if MAX_RESAMPLES < self.resamples {
+            return Err(anyhow!(
+                "`evaluate.resamples` is {}, expected 0 to {MAX_RESAMPLES}",
+                self.resamples
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// `[evaluate.grid]`: the error for every combination of three label options. It is off where a
+/// list is empty.
+#[derive(Debug, Clone, JsonSchema, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct GridSection {
+    /// Values of `label.positive_radius_m` \[m\].
+    pub(crate) positive_radius_m: Vec<f64>,
+    /// Values of `label.negative_min_m` \[m\].
+    pub(crate) negative_min_m: Vec<f64>,
+    /// Values of `label.min_travel_gap_m` \[m\]: 0 takes neighbours along the path too, more
+    /// takes true revisits only.
+    pub(crate) min_travel_gap_m: Vec<f64>,
+    /// Which learners.
+    pub(crate) learners: Vec<Learner>,
+    /// What may not stand on both sides of a fold.
+    pub(crate) grouping: Grouping,
+}
+
+impl Default for GridSection {
+    fn default() -> Self {
+        Self {
+            positive_radius_m: Vec::new(),
+            negative_min_m: Vec::new(),
+            min_travel_gap_m: vec![0.0],
+            learners: vec![Learner::GentleStump],
+            grouping: Grouping::Place,
+        }
+    }
+}
+
+impl GridSection {
+    /// The label options of each cell.
+    pub(crate) fn cells(&self, label: &label::Options) -> Vec<label::Options> {
+        let mut cells = Vec::new();
+        for &min_travel_gap_m in &self.min_travel_gap_m {
+            for &negative_min_m in &self.negative_min_m {
+                for &positive_radius_m in &self.positive_radius_m {
+                    cells.push(label::Options {
+                        positive_radius_m,
+                        negative_min_m,
+                        min_travel_gap_m,
+                        ..label.clone()
+                    });
+                }
+            }
+        }
+        cells
     }
 }
 
@@ -203,8 +313,9 @@ impl Config {
         if self.train.learners.iter().collect::<BTreeSet<_>>().len() < self.train.learners.len() {
             return Err(anyhow!("`train.learners` names a learner twice"));
         }
-        if self.evaluate.folds < 2 {
-            return Err(anyhow!("`evaluate.folds` is {}, expected 2 or more", self.evaluate.folds));
+        self.evaluate.check()?;
+        for cell in self.evaluate.grid.cells(&self.label) {
+            cell.check().map_err(|e| anyhow!("[evaluate.grid], as {e}"))?;
         }
         if self.label.pairs_per_class < self.evaluate.folds as usize {
             return Err(anyhow!(
@@ -212,14 +323,6 @@ impl Config {
                 self.evaluate.folds,
                 self.label.pairs_per_class
             ));
-        }
-        if self.evaluate.groupings.iter().collect::<BTreeSet<_>>().len()
-            < self.evaluate.groupings.len()
-        {
-            return Err(anyhow!("`evaluate.groupings` names a grouping twice"));
-        }
-        if self.evaluate.groupings.is_empty() {
-            return Err(anyhow!("`evaluate.groupings` is empty, expected at least `pair`"));
         }
         for log in self.ingest.log.keys() {
             self.for_log(log)?;
@@ -338,7 +441,7 @@ mod tests {
         .unwrap();
         assert!((config.label.positive_radius_m - 2.0).abs() < 1e-12);
         assert_eq!(config.name, "other");
-        assert_eq!(config.train.learners, [train::Learner::Discrete]);
+        assert_eq!(config.train.learners, [Learner::Discrete]);
     }
 
     #[test]

@@ -72,7 +72,9 @@ pub(crate) fn maker_of(name: &str) -> Option<(&'static str, Option<&str>)> {
         "keyframes.parquet" => Some(("subsample", None)),
         "pairs.parquet" => Some(("label", None)),
         "features.parquet" => Some(("featurize", None)),
-        "scores.parquet" | "rounds.parquet" => Some(("train", None)),
+        "scores.parquet" | "rounds.parquet" | "retrieval.parquet" | "grid.parquet" => {
+            Some(("train", None))
+        }
         _ => None,
     }
 }

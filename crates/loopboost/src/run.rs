@@ -24,9 +24,10 @@ use crate::options::{maker_of, options_of};
 ///   logs/<log>.mcap              simulated logs
 ///   scans/<log>.parquet          poses/<log>.parquet
 ///   keyframes.parquet            pairs.parquet            features.parquet
-///   scores.parquet               rounds.parquet
+///   scores.parquet               rounds.parquet           retrieval.parquet  grid.parquet
 ///   models/<name>/<version>/     model.json, card.md
-///   evaluation/*.parquet         report.html
+///   evaluation/*.parquet         evaluation/summary.json  evaluation/figures/*.svg
+///   report.html
 /// ```
 pub(crate) struct Run {
     pub(crate) config: Config,
@@ -61,6 +62,8 @@ pub(crate) enum Mode {
     },
     /// All that are come upon: a stage was asked for by its own command.
     Always,
+    /// As `Always`, and nothing is said: stdout belongs to what the command prints.
+    Quiet,
 }
 
 /// A piece of work that is done whole or not at all.
@@ -152,6 +155,11 @@ impl Run {
                     log.paths[0].display()
                 ));
             }
+        }
+        if self.config.evaluate.groupings.contains(&label::Grouping::Log) && logs.len() < 2 {
+            return Err(usage(
+                "`evaluate.groupings` has `log`, which holds a log out, but there is 1 log: add logs, or leave `log` out",
+            ));
         }
         let is_log = |name: &&String| seen.iter().any(|log| ***log == ***name);
         if let Some(stray) = self.config.ingest.log.keys().find(|name| !is_log(name)) {
@@ -283,7 +291,9 @@ impl Run {
                 ("subsample", _) => vec![self.path("keyframes.parquet")],
                 ("label", _) => vec![self.path("pairs.parquet")],
                 ("featurize", _) => vec![self.path("features.parquet")],
-                ("train", _) => vec![self.path("scores.parquet"), self.path("rounds.parquet")],
+                ("train", _) => ["scores", "rounds", "retrieval", "grid"]
+                    .map(|name| self.path(&format!("{name}.parquet")))
+                    .into(),
                 _ => Vec::new(),
             };
             self.would_change.borrow_mut().extend(outputs);
@@ -404,7 +414,9 @@ impl Run {
 
     /// A result, on stdout.
     pub(crate) fn say(&self, stage: &str, what: impl std::fmt::Display) {
-        out!("{stage:<10} {what}");
+        if self.mode != Mode::Quiet {
+            out!("{stage:<10} {what}");
+        }
     }
 }
 
@@ -432,7 +444,15 @@ fn lock(folder: &Path) -> Result<File> {
 /// Removes what a killed run has left half written, in the folders that a run writes to and in no
 /// others.
 fn remove_partial_files(folder: &Path) -> Result<()> {
-    for pattern in [".*", "logs/.*", "scans/.*", "poses/.*", "evaluation/.*", "models/*/*/.*"] {
+    for pattern in [
+        ".*",
+        "logs/.*",
+        "scans/.*",
+        "poses/.*",
+        "evaluation/.*",
+        "evaluation/figures/.*",
+        "models/*/*/.*",
+    ] {
         let pattern = format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()));
         for path in glob::glob(&pattern).into_iter().flatten().flatten() {
             if is_partial(&path) && path.is_file() {

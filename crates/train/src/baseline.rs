@@ -3,13 +3,11 @@
 
 use crate::matrix::Matrix;
 
-/// Rows of a matrix, each feature scaled to mean 0 and deviation 1 on the training rows.
-///
-/// Returns training rows and test rows, row-major, `(n, n_features)`. A feature that is constant on
-/// the training rows is 0 throughout.
-pub(crate) fn normalised(training: &Matrix, test: &Matrix) -> (Vec<f64>, Vec<f64>) {
+/// Mean of each feature, and the factor that makes its deviation 1; the factor of a feature that
+/// is constant is 0.
+pub(crate) fn scales(training: &Matrix) -> Vec<(f64, f64)> {
     let n = training.n_rows() as f64;
-    let scales: Vec<(f64, f64)> = training
+    training
         .columns()
         .iter()
         .map(|column| {
@@ -19,16 +17,17 @@ pub(crate) fn normalised(training: &Matrix, test: &Matrix) -> (Vec<f64>, Vec<f64
             let deviation = variance.sqrt();
             (mean, if deviation <= 1e-12 * mean.abs() { 0.0 } else { 1.0 / deviation })
         })
-        .collect();
-    let rows = |matrix: &Matrix| {
-        (0..matrix.n_rows())
-            .flat_map(|row| {
-                scales
-                    .iter()
-                    .zip(matrix.columns())
-                    .map(move |(&(mean, factor), column)| (column[row] - mean) * factor)
-            })
-            .collect()
-    };
-    (rows(training), rows(test))
+        .collect()
+}
+
+/// Rows of a matrix, scaled, row-major, `(n, n_features)`.
+pub(crate) fn normalised(matrix: &Matrix, scales: &[(f64, f64)]) -> Vec<f64> {
+    (0..matrix.n_rows())
+        .flat_map(|row| {
+            scales
+                .iter()
+                .zip(matrix.columns())
+                .map(move |(&(mean, factor), column)| (column[row] - mean) * factor)
+        })
+        .collect()
 }

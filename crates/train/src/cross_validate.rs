@@ -1,78 +1,203 @@
+//! Scores of pairs by classifiers that did not see them.
+
+use std::collections::BTreeSet;
+
+use dataset::Label;
+use model::Classifier;
 use rayon::prelude::*;
 
 use crate::{Learner, Matrix, Round, TrainError, classifier, fit, knn, svm};
 
-/// What training on all folds but one, for each fold, gives.
+/// Labelled pairs and the folds they touch.
+#[derive(Debug, Clone, Copy)]
+pub struct Folded<'a> {
+    /// The pairs.
+    pub data: &'a Matrix,
+    /// The two folds that each pair touches, `(n_pairs, 2)`; twice the same for a pair in one.
+    pub folds: &'a [[u32; 2]],
+    /// A pseudo-random number for each pair, `(n_pairs,)`: it decides what is left out of the
+    /// larger class.
+    pub keys: &'a [u64],
+}
+
+/// What training without the folds of each pair gives.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CrossValidated {
-    /// The rounds fitted without each fold, `(n_folds,)` of up to `n_rounds`; none for a baseline.
-    pub rounds: Vec<Vec<Round>>,
-    /// Confidence of each pair after each round, by the classifier that did not see it,
-    /// `(n_pairs, n_rounds)`; a learner that stopped early keeps its last confidence.
+    /// A fit for each pair of folds that some pair touches, ascending.
+    pub fits: Vec<FoldFit>,
+    /// Confidence of each pair after each round, by the classifier that saw no pair of a fold that
+    /// it touches, `(n_pairs, n_rounds)`; a learner that stopped early keeps its last confidence.
     pub confidences: Vec<f64>,
 }
 
-/// A pair's row and its confidence after each round.
-type Scored = (usize, Vec<f64>);
+/// A classifier that was fitted without two folds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FoldFit {
+    /// The folds left out, ascending; twice the same where it is one.
+    pub left_out: [u32; 2],
+    /// The rounds; none for a baseline.
+    pub rounds: Vec<Round>,
+    scorer: Scorer,
+}
 
-/// Fits a learner once without each fold and scores that fold's pairs with it.
-///
-/// `folds` has the fold of each pair, 0 to `n_folds - 1`.
+#[derive(Debug, Clone, PartialEq)]
+enum Scorer {
+    Boosted(Classifier),
+    Linear(svm::Linear),
+    /// k-NN is its training pairs.
+    Neighbours(Matrix),
+}
+
+/// Why there is no classifier for a fold.
+#[derive(Debug, PartialEq, thiserror::Error)]
+pub enum FoldError {
+    /// What is left to train on lacks a class.
+    #[error(
+        "without {}, {n_positive} positive and {n_negative} negative pairs are left to train on, expected both; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or leave the grouping out",
+        folds(.left_out)
+    )]
+    OneClass {
+        /// The folds left out.
+        left_out: [u32; 2],
+        /// Positive pairs left.
+        n_positive: usize,
+        /// Negative pairs left.
+        n_negative: usize,
+    },
+    /// The learner cannot be fitted.
+    #[error("without {}: {error}", folds(.left_out))]
+    Fit {
+        /// The folds left out.
+        left_out: [u32; 2],
+        /// Why not.
+        error: TrainError,
+    },
+}
+
+fn folds([a, b]: &[u32; 2]) -> String {
+    if a == b { format!("fold {a}") } else { format!("folds {a} and {b}") }
+}
+
+/// The rows that touch neither fold, with as many of either class: of the larger one those of the
+/// smallest keys, since Gentle AdaBoost's weights start equal and would lean to that class.
+fn training_rows(folded: &Folded<'_>, [a, b]: [u32; 2]) -> Result<Vec<usize>, FoldError> {
+    let labels = folded.data.labels();
+    let rows_of = |label: Label| -> Vec<usize> {
+        (0..labels.len())
+            .filter(|&row| {
+                let touched = folded.folds[row];
+                labels[row] == label && !touched.contains(&a) && !touched.contains(&b)
+            })
+            .collect()
+    };
+    let (mut positive, mut negative) = (rows_of(Label::Positive), rows_of(Label::Negative));
+    let (n_positive, n_negative) = (positive.len(), negative.len());
+    if n_positive == 0 || n_negative == 0 {
+        return Err(FoldError::OneClass { left_out: [a, b], n_positive, n_negative });
+    }
+    for rows in [&mut positive, &mut negative] {
+        rows.sort_unstable_by_key(|&row| (folded.keys[row], row));
+        rows.truncate(n_positive.min(n_negative));
+    }
+    let mut rows = [positive, negative].concat();
+    rows.sort_unstable();
+    Ok(rows)
+}
+
+/// Fits a learner on the pairs that touch neither of two folds.
+pub fn fit_without(
+    learner: Learner,
+    n_rounds: u32,
+    folded: &Folded<'_>,
+    left_out: [u32; 2],
+) -> Result<FoldFit, FoldError> {
+    let training = folded.data.select(&training_rows(folded, left_out)?);
+    let failed = |error| FoldError::Fit { left_out, error };
+    if let Some(boosting) = learner.boosting() {
+        let rounds = fit(boosting, n_rounds, &training).map_err(failed)?;
+        let scorer = Scorer::Boosted(classifier(boosting, &rounds));
+        return Ok(FoldFit { left_out, rounds, scorer });
+    }
+    training.check().map_err(failed)?;
+    let scorer = match learner {
+        Learner::Svm => Scorer::Linear(svm::Linear::fit(&training)),
+        _ => Scorer::Neighbours(training),
+    };
+    Ok(FoldFit { left_out, rounds: Vec::new(), scorer })
+}
+
+impl FoldFit {
+    /// The confidence of one pair by its feature differences, `(n_features,)`, after the last
+    /// round; none for k-NN, which would compare it with every training pair.
+    #[inline]
+    pub fn confidence(&self, difference: &[f64]) -> Option<f64> {
+        match &self.scorer {
+            Scorer::Boosted(classifier) => Some(classifier.confidence(difference)),
+            Scorer::Linear(linear) => Some(linear.confidence(difference)),
+            Scorer::Neighbours(_) => None,
+        }
+    }
+
+    /// Confidences of the given rows after each round, `(n_rows, n_rounds)`.
+    fn staged(&self, data: &Matrix, rows: &[usize], n_rounds: usize) -> Vec<f64> {
+        let mut staged = Vec::with_capacity(rows.len() * n_rounds);
+        // A baseline has no rounds: its confidence is the same after each.
+        let mut repeat = |confidence: f64| staged.extend(std::iter::repeat_n(confidence, n_rounds));
+        let difference =
+            |row: usize| -> Vec<f64> { data.columns().iter().map(|column| column[row]).collect() };
+        match &self.scorer {
+            Scorer::Boosted(classifier) => {
+                for &row in rows {
+                    let end = staged.len() + n_rounds;
+                    staged.extend(classifier.staged_confidences(&difference(row)));
+                    let last = staged.last().copied().unwrap_or(0.0);
+                    staged.resize(end, last);
+                }
+            }
+            Scorer::Linear(linear) => {
+                rows.iter().for_each(|&row| repeat(linear.confidence(&difference(row))));
+            }
+            Scorer::Neighbours(training) => {
+                knn::confidences(training, &data.select(rows)).into_iter().for_each(repeat);
+            }
+        }
+        staged
+    }
+}
+
+/// Fits a learner once without each pair of folds that some pair touches, and scores these pairs
+/// with it: each pair exactly once.
 pub fn cross_validate(
     learner: Learner,
     n_rounds: u32,
-    data: &Matrix,
-    folds: &[u32],
-    n_folds: u32,
-) -> Result<CrossValidated, TrainError> {
-    let n_rounds_usize = n_rounds as usize;
-    let rows_where = |keep: &dyn Fn(u32) -> bool| -> Vec<usize> {
-        (0..folds.len()).filter(|&row| keep(folds[row])).collect()
-    };
-    let by_fold: Vec<(Vec<Round>, Vec<Scored>)> = (0..n_folds)
+    folded: &Folded<'_>,
+) -> Result<CrossValidated, FoldError> {
+    let n = n_rounds as usize;
+    let ascending = |[a, b]: [u32; 2]| [a.min(b), a.max(b)];
+    let touched: BTreeSet<[u32; 2]> = folded.folds.iter().copied().map(ascending).collect();
+    let by_folds = touched
         .into_par_iter()
-        .map(|fold| {
-            let training = data.select(&rows_where(&|f| f != fold));
-            let rows = rows_where(&|f| f == fold);
-            let Some(boosting) = learner.boosting() else {
-                training.check()?;
-                let test = data.select(&rows);
-                let confidences = match learner {
-                    Learner::Svm => svm::confidences(&training, &test),
-                    _ => knn::confidences(&training, &test),
-                };
-                // A baseline has no rounds: its confidence is the same after each.
-                let staged = confidences.into_iter().map(|c| vec![c; n_rounds_usize]);
-                return Ok((Vec::new(), rows.into_iter().zip(staged).collect()));
-            };
-            let rounds = fit(boosting, n_rounds, &training)?;
-            let classifier = classifier(boosting, &rounds);
-            let scored = rows
-                .into_iter()
-                .map(|row| {
-                    let difference: Vec<f64> =
-                        data.columns().iter().map(|column| column[row]).collect();
-                    let mut staged: Vec<f64> = classifier.staged_confidences(&difference).collect();
-                    let last = staged.last().copied().unwrap_or(0.0);
-                    staged.resize(n_rounds_usize, last);
-                    (row, staged)
-                })
+        .map(|left_out| {
+            let fit = fit_without(learner, n_rounds, folded, left_out)?;
+            let rows: Vec<usize> = (0..folded.folds.len())
+                .filter(|&row| ascending(folded.folds[row]) == left_out)
                 .collect();
-            Ok((rounds, scored))
+            let staged = fit.staged(folded.data, &rows, n);
+            Ok((fit, rows, staged))
         })
-        .collect::<Vec<Result<_, TrainError>>>()
-        // Of several errors the first fold's, whichever came first in time.
+        .collect::<Vec<Result<_, FoldError>>>()
+        // Of several errors the first folds', whichever came first in time.
         .into_iter()
-        .collect::<Result<_, TrainError>>()?;
-    let mut confidences = vec![0.0; folds.len() * n_rounds_usize];
-    let mut rounds = Vec::with_capacity(by_fold.len());
-    for (fold_rounds, scored) in by_fold {
-        for (row, staged) in scored {
-            confidences[row * n_rounds_usize..][..n_rounds_usize].copy_from_slice(&staged);
+        .collect::<Result<Vec<_>, FoldError>>()?;
+    let mut confidences = vec![0.0; folded.folds.len() * n];
+    let mut fits = Vec::with_capacity(by_folds.len());
+    for (fit, rows, staged) in by_folds {
+        for (row, staged) in rows.into_iter().zip(staged.chunks(n)) {
+            confidences[row * n..][..n].copy_from_slice(staged);
         }
-        rounds.push(fold_rounds);
+        fits.push(fit);
     }
-    Ok(CrossValidated { rounds, confidences })
+    Ok(CrossValidated { fits, confidences })
 }
 
 #[cfg(test)]
@@ -89,19 +214,69 @@ mod tests {
             vec![vec![9.0, 8.0, 1.0, 10.0]],
             vec![Positive, Negative, Positive, Negative],
         );
-        let result = cross_validate(Learner::Discrete, 2, &data, &[0, 0, 1, 1], 2).unwrap();
+        let folds = [[0, 0], [0, 0], [1, 1], [1, 1]];
+        let folded = Folded { data: &data, folds: &folds, keys: &[0; 4] };
+        let result = cross_validate(Learner::Discrete, 2, &folded).unwrap();
         assert_eq!(result.confidences.len(), 8);
         // Without fold 0: threshold 5.5, 9 and 8 lie above: negative, both.
         assert!(result.confidences[0] < 0.0 && result.confidences[2] < 0.0);
         // Without fold 1: threshold 8.5, positive above: 1 is negative, 10 positive.
         assert!(result.confidences[4] < 0.0 && result.confidences[6] > 0.0);
-        assert_eq!(result.rounds.len(), 2);
+        let left_out: Vec<_> = result.fits.iter().map(|fit| fit.left_out).collect();
+        assert_eq!(left_out, [[0, 0], [1, 1]]);
+    }
+
+    /// A pair between folds 0 and 1 is scored by what was learned in fold 2 alone, though there are
+    /// pairs in fold 0, in 1 and between 2 and either; its order does not matter.
+    #[test]
+    fn a_pair_between_two_folds_is_scored_without_both() {
+        let data = Matrix::new(
+            vec![vec![3.0, 4.0, 1.0, 9.0, 2.0, 3.0, 2.0, 3.0, 1.0, 9.0]],
+            [Positive, Negative]
+                .repeat(2)
+                .into_iter()
+                .chain([Negative, Positive].repeat(2))
+                .chain([Positive, Negative])
+                .collect(),
+        );
+        let folds =
+            [[0, 1], [1, 0], [2, 2], [2, 2], [0, 0], [0, 0], [1, 1], [1, 1], [0, 2], [2, 1]];
+        let folded = Folded { data: &data, folds: &folds, keys: &[0; 10] };
+        let fit = fit_without(Learner::Discrete, 1, &folded, [0, 1]).unwrap();
+        // Threshold 5 between 1 (+) and 9 (-): 3 and 4 lie below.
+        assert_eq!(fit.rounds[0].weak.threshold(), Some(5.0));
+        let result = cross_validate(Learner::Discrete, 1, &folded).unwrap();
+        assert_eq!(result.fits[1], fit);
+        assert_eq!(result.confidences[0].to_bits(), fit.confidence(&[3.0]).unwrap().to_bits());
+        assert!(result.confidences[0] > 0.0 && result.confidences[1] > 0.0);
+        let left_out: Vec<_> = result.fits.iter().map(|fit| fit.left_out).collect();
+        assert_eq!(left_out, [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]]);
+    }
+
+    /// Three negatives and one positive are left: the negative of the smallest key stays.
+    #[test]
+    fn the_larger_class_is_cut_to_the_smaller_one() {
+        let data = Matrix::new(
+            vec![vec![0.0; 6]],
+            vec![Positive, Negative, Negative, Positive, Negative, Positive],
+        );
+        let folds = [[0, 0], [1, 1], [1, 2], [1, 1], [2, 2], [0, 2]];
+        let folded = Folded { data: &data, folds: &folds, keys: &[1, 9, 3, 8, 5, 2] };
+        assert_eq!(training_rows(&folded, [0, 0]), Ok(vec![2, 3]));
+        assert_eq!(training_rows(&folded, [0, 2]), Ok(vec![1, 3]));
+        let error = training_rows(&folded, [1, 1]).map(|rows| rows.len());
+        assert_eq!(error, Ok(2), "pairs 0 or 5, by their keys, and 4");
+        assert_eq!(training_rows(&folded, [1, 1]), Ok(vec![0, 4]));
     }
 
     #[test]
-    fn a_fold_that_leaves_one_class_is_an_error() {
-        let data = Matrix::new(vec![vec![1.0, 2.0]], vec![Positive, Negative]);
-        let error = cross_validate(Learner::Discrete, 1, &data, &[0, 1], 2).unwrap_err();
-        assert_eq!(error, TrainError::OneClass { n_positive: 0, n_negative: 1 });
+    fn folds_that_leave_one_class_are_an_error() {
+        let data = Matrix::new(vec![vec![1.0, 2.0, 3.0]], vec![Positive, Negative, Positive]);
+        let folds = [[0, 0], [1, 1], [2, 2]];
+        let folded = Folded { data: &data, folds: &folds, keys: &[0; 3] };
+        let error = cross_validate(Learner::Discrete, 1, &folded).unwrap_err();
+        assert_eq!(error, FoldError::OneClass { left_out: [1, 1], n_positive: 2, n_negative: 0 });
+        let text = error.to_string();
+        assert!(text.starts_with("without fold 1, 2 positive and 0 negative pairs"), "{text}");
     }
 }

@@ -3,7 +3,7 @@
 //! The confidence is the mean of the neighbours' labels, -1 to 1. Every pair is compared with every
 //! training pair: fit for thousands of pairs, not for millions.
 
-use crate::baseline::normalised;
+use crate::baseline::{normalised, scales};
 use crate::matrix::Matrix;
 
 /// Neighbours that vote; odd, so that there is no tie (the paper's k).
@@ -12,7 +12,8 @@ const K: usize = 5;
 /// Confidences of the test rows, `(n_test,)`.
 pub(crate) fn confidences(training: &Matrix, test: &Matrix) -> Vec<f64> {
     let n_features = training.columns().len();
-    let (training_rows, test_rows) = normalised(training, test);
+    let scales = scales(training);
+    let (training_rows, test_rows) = (normalised(training, &scales), normalised(test, &scales));
     let k = K.min(training.n_rows());
     test_rows
         .chunks(n_features)

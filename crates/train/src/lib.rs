@@ -17,7 +17,7 @@ mod svm;
 use model::{Classifier, WeakLearner};
 use serde::{Deserialize, Serialize};
 
-pub use cross_validate::{CrossValidated, cross_validate};
+pub use cross_validate::{CrossValidated, FoldError, FoldFit, Folded, cross_validate, fit_without};
 pub use matrix::Matrix;
 
 /// The section `[train]`.

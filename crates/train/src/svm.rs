@@ -12,7 +12,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::baseline::normalised;
+use crate::baseline::{normalised, scales};
 use crate::matrix::Matrix;
 
 /// Weight of the loss.
@@ -22,13 +22,33 @@ const MAX_STEPS: usize = 100;
 /// A step shorter than this changes nothing that matters.
 const MIN_STEP: f64 = 1e-10;
 
-/// Confidences w.x of the test rows, `(n_test,)`.
-pub(crate) fn confidences(training: &Matrix, test: &Matrix) -> Vec<f64> {
-    let n_features = training.columns().len();
-    let (training_rows, test_rows) = normalised(training, test);
-    let y: Vec<f64> = training.labels().iter().map(|label| label.target()).collect();
-    let w = fit(&training_rows, &y, n_features);
-    test_rows.chunks(n_features).map(|x| decision(&w, x)).collect()
+/// The fitted machine.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Linear {
+    /// Mean and factor of each feature on the training rows.
+    scales: Vec<(f64, f64)>,
+    /// Weights, the bias last.
+    w: Vec<f64>,
+}
+
+impl Linear {
+    pub(crate) fn fit(training: &Matrix) -> Self {
+        let scales = scales(training);
+        let y: Vec<f64> = training.labels().iter().map(|label| label.target()).collect();
+        let w = fit(&normalised(training, &scales), &y, scales.len());
+        Self { scales, w: w.iter().copied().collect() }
+    }
+
+    /// Confidence w.x of a pair, from its feature differences.
+    pub(crate) fn confidence(&self, difference: &[f64]) -> f64 {
+        let products = self
+            .scales
+            .iter()
+            .zip(&self.w)
+            .zip(difference)
+            .map(|((&(mean, factor), w), f)| (f - mean) * factor * w);
+        products.sum::<f64>() + self.w[difference.len()]
+    }
 }
 
 fn decision(w: &DVector<f64>, x: &[f64]) -> f64 {

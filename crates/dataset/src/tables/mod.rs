@@ -9,6 +9,8 @@
 //!   features.parquet         a keyframe's features a row
 //!   scores.parquet           a pair under a learner a row: cross-validated confidences
 //!   rounds.parquet           a round of boosting a row
+//!   retrieval.parquet        a learner on all pairs of a log a row
+//!   grid.parquet             a learner under other label rules a row
 //!   evaluation/*.parquet     what `evaluate` measured
 //! ```
 //!
@@ -16,6 +18,7 @@
 //! its place and renamed when whole.
 
 mod columns;
+mod evidence;
 mod file;
 mod nouns;
 mod provenance;
@@ -24,6 +27,9 @@ mod scores;
 
 use std::path::PathBuf;
 
+pub use evidence::{
+    grid_batch, read_grid, read_retrieval, retrieval_batch, write_grid, write_retrieval,
+};
 pub use file::{
     digest_file, is_partial, read_provenance, read_table, write_atomically, write_file, write_table,
 };
@@ -123,8 +129,8 @@ fn command_for(kind: &str) -> String {
         "keyframes" => "subsample",
         "pairs" => "label",
         "features" => "featurize",
-        "scores" | "rounds" => "train",
-        "errors" | "precision_recall" | "selection" | "mistakes" => "evaluate",
+        "scores" | "rounds" | "retrieval" | "grid" => "train",
+        "errors" | "summary" | "precision_recall" | "selection" | "mistakes" => "evaluate",
         _ => "run",
     };
     format!("loopboost {stage} PIPELINE.toml --out DIR")

@@ -13,7 +13,7 @@ use arrow_schema::{DataType, Field};
 use super::columns::Columns;
 use super::nouns::{batch, strings};
 use super::{Provenance, Result, TableError, read_table, write_table};
-use crate::{BoostingRound, Keyframe, Pair, Scores};
+use crate::{BoostingRound, Keyframe, LeftOut, Pair, Scores};
 
 /// Writes `scores.parquet`: a row for each learner, grouping and pair, the pairs in the order of
 /// `pairs.parquet`.
@@ -43,7 +43,10 @@ pub fn write_scores(
     let columns: Vec<(&str, ArrayRef)> = vec![
         ("learner", strings(rows().map(|(s, _, _)| &*s.learner))),
         ("grouping", strings(rows().map(|(s, _, _)| &*s.grouping))),
-        ("fold", numbers(&mut rows().map(|(s, k, _)| s.folds[k]))),
+        ("query_group", numbers(&mut rows().map(|(s, k, _)| s.groups[k][0]))),
+        ("reference_group", numbers(&mut rows().map(|(s, k, _)| s.groups[k][1]))),
+        ("query_fold", numbers(&mut rows().map(|(s, k, _)| s.folds[k][0]))),
+        ("reference_fold", numbers(&mut rows().map(|(s, k, _)| s.folds[k][1]))),
         ("query_log", strings(rows().map(|(_, _, p)| &*id(p.query).log))),
         ("query_scan", numbers(&mut rows().map(|(_, _, p)| id(p.query).scan))),
         ("reference_log", strings(rows().map(|(_, _, p)| &*id(p.reference).log))),
@@ -60,7 +63,10 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
     let columns = Columns::new(path, &table);
     let learners = columns.strings("learner")?;
     let groupings = columns.strings("grouping")?;
-    let folds = columns.numbers::<UInt32Type>("fold")?;
+    let groups = ["query_group", "reference_group"].map(|name| columns.numbers::<UInt32Type>(name));
+    let folds = ["query_fold", "reference_fold"].map(|name| columns.numbers::<UInt32Type>(name));
+    let ([group_a, group_b], [fold_a, fold_b]) = (groups, folds);
+    let (group_a, group_b, fold_a, fold_b) = (group_a?, group_b?, fold_a?, fold_b?);
     let labels = columns.numbers::<Int8Type>("label")?;
     let column = columns.column("confidences")?;
     let lists = column
@@ -84,6 +90,7 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
             learner: learners.value(start).to_owned(),
             grouping: groupings.value(start).to_owned(),
             n_rounds,
+            groups: Vec::with_capacity(pairs.len()),
             folds: Vec::with_capacity(pairs.len()),
             confidences: Vec::with_capacity(pairs.len() * n_rounds),
         };
@@ -97,7 +104,8 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
             {
                 return Err(row_error(row, "not the row of a pair of pairs.parquet"));
             }
-            block.folds.push(folds.value(row));
+            block.groups.push([group_a.value(row), group_b.value(row)]);
+            block.folds.push([fold_a.value(row), fold_b.value(row)]);
             block.confidences.extend_from_slice(values.as_primitive::<Float64Type>().values());
         }
         scores.push(block);
@@ -107,14 +115,23 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
 
 /// Writes `rounds.parquet`.
 pub fn write_rounds(path: &Path, provenance: &Provenance, rounds: &[BoostingRound]) -> Result<()> {
-    let left_out = |r: &BoostingRound| r.left_out.clone();
+    let fold = |of: usize| -> ArrayRef {
+        let folds = rounds.iter().map(|r| r.left_out.as_ref().map(|left_out| left_out.folds[of]));
+        Arc::new(folds.collect::<UInt32Array>())
+    };
     let columns: Vec<(&str, ArrayRef)> = vec![
         ("learner", strings(rounds.iter().map(|r| &*r.learner))),
         (
             "grouping",
-            Arc::new(rounds.iter().map(|r| Some(left_out(r)?.0)).collect::<StringArray>()),
+            Arc::new(
+                rounds
+                    .iter()
+                    .map(|r| r.left_out.as_ref().map(|left_out| &*left_out.grouping))
+                    .collect::<StringArray>(),
+            ),
         ),
-        ("fold", Arc::new(rounds.iter().map(|r| Some(left_out(r)?.1)).collect::<UInt32Array>())),
+        ("fold", fold(0)),
+        ("other_fold", fold(1)),
         ("round", Arc::new(UInt32Array::from_iter_values(rounds.iter().map(|r| r.round)))),
         ("feature", strings(rounds.iter().map(|r| &*r.feature))),
         ("threshold", Arc::new(rounds.iter().map(|r| r.threshold).collect::<Float64Array>())),
@@ -123,7 +140,12 @@ pub fn write_rounds(path: &Path, provenance: &Provenance, rounds: &[BoostingRoun
             Arc::new(Float64Array::from_iter_values(rounds.iter().map(|r| r.weighted_error))),
         ),
     ];
-    write_table(path, "rounds", provenance, &batch(columns, &["grouping", "fold", "threshold"]))
+    write_table(
+        path,
+        "rounds",
+        provenance,
+        &batch(columns, &["grouping", "fold", "other_fold", "threshold"]),
+    )
 }
 
 /// Reads `rounds.parquet`.
@@ -133,6 +155,7 @@ pub fn read_rounds(path: &Path) -> Result<(Vec<BoostingRound>, Provenance)> {
     let learners = columns.strings("learner")?;
     let groupings = columns.nullable_strings("grouping")?;
     let folds = columns.nullable_numbers::<UInt32Type>("fold")?;
+    let others = columns.nullable_numbers::<UInt32Type>("other_fold")?;
     let rounds = columns.numbers::<UInt32Type>("round")?;
     let features = columns.strings("feature")?;
     let thresholds = columns.nullable_numbers::<Float64Type>("threshold")?;
@@ -140,9 +163,10 @@ pub fn read_rounds(path: &Path) -> Result<(Vec<BoostingRound>, Provenance)> {
     let rows = (0..table.num_rows())
         .map(|row| BoostingRound {
             learner: learners.value(row).to_owned(),
-            left_out: folds
-                .is_valid(row)
-                .then(|| (groupings.value(row).to_owned(), folds.value(row))),
+            left_out: folds.is_valid(row).then(|| LeftOut {
+                grouping: groupings.value(row).to_owned(),
+                folds: [folds.value(row), others.value(row)],
+            }),
             round: rounds.value(row),
             feature: features.value(row).to_owned(),
             threshold: thresholds.is_valid(row).then(|| thresholds.value(row)),

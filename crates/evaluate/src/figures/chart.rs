@@ -1,11 +1,12 @@
 use maud::{Markup, html};
 
-use super::{N_STYLES, px};
+use super::map::polyline;
+use super::{N_STYLES, px, round_length};
 
 /// One axis of a chart.
 pub(crate) struct Axis {
     /// What it shows, with its unit.
-    pub(crate) title: &'static str,
+    pub(crate) title: String,
     pub(crate) min: f64,
     pub(crate) max: f64,
     pub(crate) ticks: Vec<f64>,
@@ -17,79 +18,92 @@ pub(crate) struct Axis {
 pub(crate) struct Series {
     pub(crate) name: String,
     pub(crate) points: Vec<(f64, f64)>,
-    /// Texts shown when the pointer rests on a point; empty for a line without marks.
-    pub(crate) hover: Vec<String>,
+    /// Points whose values are shown when the pointer rests on them.
+    pub(crate) marks: Vec<(f64, f64, String)>,
 }
 
-/// Lines over two axes.
+/// Lines over two axes, the legend below.
 pub(crate) struct Chart {
-    pub(crate) id: &'static str,
+    pub(crate) id: String,
     /// What a reader who cannot see the figure is told.
     pub(crate) description: String,
     pub(crate) x: Axis,
     pub(crate) y: Axis,
     pub(crate) series: Vec<Series>,
+    /// A bound that others report: below this value at this place.
+    pub(crate) below: Option<(f64, f64, String)>,
 }
 
-const WIDTH: f64 = 640.0;
-const HEIGHT: f64 = 400.0;
-const LEFT: f64 = 64.0;
-const RIGHT: f64 = 16.0;
+/// Drawn small, so that text can be read on a phone.
+const WIDTH: f64 = 480.0;
+const PLOT_HEIGHT: f64 = 330.0;
+const LEFT: f64 = 58.0;
+const RIGHT: f64 = 14.0;
 const TOP: f64 = 12.0;
-const BOTTOM: f64 = 52.0;
+const BOTTOM: f64 = 48.0;
+const LEGEND_ROW: f64 = 22.0;
 
 impl Chart {
     pub(crate) fn svg(&self) -> Markup {
-        let (bottom, right) = (HEIGHT - BOTTOM, WIDTH - RIGHT);
+        let (bottom, right) = (PLOT_HEIGHT - BOTTOM, WIDTH - RIGHT);
+        let height = PLOT_HEIGHT + LEGEND_ROW * self.series.len().div_ceil(2) as f64;
         html! {
-            svg id=(self.id) class="chart" viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } role="img" aria-label=(self.description) {
+            svg id=(self.id) class="chart" viewBox={ "0 0 " (WIDTH) " " (px(height)) } role="img" aria-label=(self.description) {
                 g class="grid" {
                     @for &tick in &self.x.ticks {
-                        line x1=(px(self.at_x(tick))) x2=(px(self.at_x(tick))) y1=(TOP) y2=(bottom) {}
+                        path d={ "M" (px(self.at_x(tick))) " " (TOP) "V" (bottom) } {}
                     }
                     @for &tick in &self.y.ticks {
-                        line x1=(LEFT) x2=(right) y1=(px(self.at_y(tick))) y2=(px(self.at_y(tick))) {}
+                        path d={ "M" (LEFT) " " (px(self.at_y(tick))) "H" (right) } {}
                     }
                 }
                 g class="ticks" {
                     @for &tick in &self.x.ticks {
-                        text x=(px(self.at_x(tick))) y=(bottom + 18.0) text-anchor="middle" { ((self.x.format)(tick)) }
+                        text x=(px(self.at_x(tick))) y=(bottom + 17.0) text-anchor="middle" { ((self.x.format)(tick)) }
                     }
                     @for &tick in &self.y.ticks {
-                        text x=(LEFT - 8.0) y=(px(self.at_y(tick) + 4.0)) text-anchor="end" { ((self.y.format)(tick)) }
+                        text x=(LEFT - 7.0) y=(px(self.at_y(tick) + 4.0)) text-anchor="end" { ((self.y.format)(tick)) }
                     }
-                    text class="axis-title" x=(px(f64::midpoint(LEFT, right))) y=(HEIGHT - 10.0) text-anchor="middle" { (self.x.title) }
-                    text class="axis-title" transform={ "translate(16 " (px(f64::midpoint(TOP, bottom))) ") rotate(-90)" } text-anchor="middle" { (self.y.title) }
+                    text class="axis-title" x=(px(f64::midpoint(LEFT, right))) y=(bottom + 37.0) text-anchor="middle" { (self.x.title) }
+                    text class="axis-title" transform={ "translate(15 " (px(f64::midpoint(TOP, bottom))) ") rotate(-90)" } text-anchor="middle" { (self.y.title) }
                 }
                 @for (k, series) in self.series.iter().enumerate() {
                     g class={ "series-" (k % N_STYLES) } {
                         path class="line" d=(self.path(&series.points)) {}
-                        @for (&(x, y), hover) in series.points.iter().zip(&series.hover) {
-                            circle cx=(px(self.at_x(x))) cy=(px(self.at_y(y))) r="3" { title { (hover) } }
+                        @for (x, y, text) in &series.marks {
+                            circle cx=(px(self.at_x(*x))) cy=(px(self.at_y(*y))) r="4" { title { (text) } }
                         }
                     }
                 }
-            }
-            p class="legend" {
-                @for (k, series) in self.series.iter().enumerate() {
-                    span class={ "key series-" (k % N_STYLES) } {
-                        svg viewBox="0 0 28 10" aria-hidden="true" { path class="line" d="M1 5H27" {} }
-                        (series.name)
+                @if let Some((x, y, text)) = &self.below {
+                    @let (x, y) = (self.at_x(*x), self.at_y(*y));
+                    g class="below" {
+                        path d={ "M" (px(x - 12.0)) " " (px(y)) "h12m-6 0v10m-3.5 -4l3.5 4l3.5 -4" } {}
+                        text x=(px(x - 17.0)) y=(px(y + 4.5)) text-anchor="end" { (text) }
+                    }
+                }
+                g class="legend" {
+                    @for (k, series) in self.series.iter().enumerate() {
+                        (self.key(k, &series.name))
                     }
                 }
             }
         }
     }
 
-    fn path(&self, points: &[(f64, f64)]) -> String {
-        let mut path = String::new();
-        for (k, &(x, y)) in points.iter().enumerate() {
-            path.push(if k == 0 { 'M' } else { 'L' });
-            path.push_str(&px(self.at_x(x)));
-            path.push(' ');
-            path.push_str(&px(self.at_y(y)));
+    fn key(&self, k: usize, name: &str) -> Markup {
+        let x = LEFT + (k % 2) as f64 * (WIDTH - LEFT - RIGHT) / 2.0;
+        let y = PLOT_HEIGHT + LEGEND_ROW * (k / 2) as f64 + 8.0;
+        html! {
+            g class={ "series-" (k % N_STYLES) } {
+                path class="line" d={ "M" (px(x)) " " (px(y)) "h26" } {}
+                text x=(px(x + 33.0)) y=(px(y + 4.5)) { (name) }
+            }
         }
-        path
+    }
+
+    fn path(&self, points: &[(f64, f64)]) -> String {
+        polyline(points.iter().map(|&(x, y)| (self.at_x(x), self.at_y(y))))
     }
 
     fn at_x(&self, x: f64) -> f64 {
@@ -100,6 +114,13 @@ impl Chart {
     /// Values beyond the axis are drawn at its end.
     fn at_y(&self, y: f64) -> f64 {
         let share = ((y - self.y.min) / (self.y.max - self.y.min)).clamp(0.0, 1.0);
-        HEIGHT - BOTTOM - share * (HEIGHT - TOP - BOTTOM)
+        PLOT_HEIGHT - BOTTOM - share * (PLOT_HEIGHT - TOP - BOTTOM)
     }
+}
+
+/// Round values from `min`, a multiple of the step, to `max`, about five of them.
+pub(crate) fn ticks(min: f64, max: f64) -> Vec<f64> {
+    let step = round_length((max - min) / 4.0);
+    let n = ((max - min) / step + 1e-9).floor() as usize;
+    (0..=n).map(|k| min + k as f64 * step).collect()
 }

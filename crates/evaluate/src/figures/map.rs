@@ -1,7 +1,7 @@
 use dataset::{Keyframe, Label, Pair};
 use maud::{Markup, html};
 
-use super::px;
+use super::{px, round_length};
 
 const SIZE: f64 = 640.0;
 const MARGIN: f64 = 20.0;
@@ -9,7 +9,7 @@ const MARGIN: f64 = 20.0;
 const MAX_NEGATIVES: usize = 150;
 
 /// The keyframes of one site, their paths, and the pairs drawn among them.
-pub(crate) fn map(site: &str, keyframes: &[Keyframe], pairs: &[Pair]) -> Markup {
+pub(crate) fn map(id: &str, site: &str, keyframes: &[Keyframe], pairs: &[Pair]) -> Markup {
     let here = |k: usize| &*keyframes[k].site == site;
     let of_site: Vec<&Keyframe> = keyframes.iter().filter(|k| &*k.site == site).collect();
     let range = |of: fn(&Keyframe) -> f64| {
@@ -48,49 +48,44 @@ pub(crate) fn map(site: &str, keyframes: &[Keyframe], pairs: &[Pair]) -> Markup 
     let paths: Vec<String> = logs
         .iter()
         .map(|log| {
-            let mut path = String::new();
-            for (k, keyframe) in of_site.iter().filter(|k| &*k.id.log == *log).enumerate() {
-                let (x, y) = at(keyframe);
-                path.push_str(&format!("{}{} {}", if k == 0 { 'M' } else { 'L' }, px(x), px(y)));
-            }
-            path
+            polyline(of_site.iter().filter(|k| &*k.id.log == *log).map(|keyframe| at(keyframe)))
         })
         .collect();
-    let bar_m = scale_bar_m(x_max - x_min);
+    let bar_m = round_length((x_max - x_min).max(5.0) / 5.0);
     let description = format!(
         "Map of site {site}: {} keyframes of {} logs, {n_positive} positive and {n_negative} negative pairs",
         of_site.len(),
         logs.len()
     );
     html! {
-        figure class="map" {
-            svg viewBox={ "0 0 " (SIZE) " " (px(height)) } role="img" aria-label=(description) {
-                path class="negative" d=(negative) {}
-                @for path in &paths { path class="path" d=(path) {} }
-                path class="positive" d=(positive) {}
-                g class="ticks" {
-                    path class="scale" d={ "M" (MARGIN) " " (px(height - 14.0)) "h" (px(bar_m * scale)) } {}
-                    text x=(px(MARGIN + bar_m * scale + 8.0)) y=(px(height - 10.0)) { (bar_m) " m" }
+        svg id=(id) class="map" viewBox={ "0 0 " (SIZE) " " (px(height)) } role="img" aria-label=(description) {
+            path class="negative" d=(negative) {}
+            @for path in &paths { path class="path" d=(path) {} }
+            path class="positive" d=(positive) {}
+            g class="ticks" {
+                path class="scale" d={ "M" (MARGIN) " " (px(height - 14.0)) "h" (px(bar_m * scale)) } {}
+                text x=(px(MARGIN + bar_m * scale + 8.0)) y=(px(height - 10.0)) { (bar_m) " m" }
+                text x=(SIZE - MARGIN) y=(px(height - 10.0)) text-anchor="end" {
+                    tspan class="key-positive" { (n_positive) " positive" } " · "
+                    tspan class="key-negative" { (n_negative) " negative" }
+                    @if n_negative_drawn < n_negative { " (" (n_negative_drawn) " drawn)" }
                 }
-            }
-            figcaption {
-                b { (site) } ": " (of_site.len()) " keyframes, "
-                span class="key-positive" { (counted(n_positive, "positive pair")) } ", "
-                span class="key-negative" { (counted(n_negative, "negative pair")) }
-                @if n_negative_drawn < n_negative { " (" (n_negative_drawn) " drawn)" }
             }
         }
     }
 }
 
-fn counted(n: usize, what: &str) -> String {
-    if n == 1 { format!("1 {what}") } else { format!("{n} {what}s") }
-}
-
-/// A round length of about a fifth of the map \[m\].
-pub(super) fn scale_bar_m(width_m: f64) -> f64 {
-    let target = (width_m / 5.0).max(1.0);
-    let decade = 10f64.powf(target.log10().floor());
-    let step = [5.0, 2.0, 1.0].into_iter().find(|s| s * decade <= target).unwrap_or(1.0);
-    step * decade
+/// A line through points, those left out that fall on the one before.
+pub(super) fn polyline(points: impl Iterator<Item = (f64, f64)>) -> String {
+    let mut path = String::new();
+    let mut last = String::new();
+    for (x, y) in points {
+        let at = format!("{} {}", px(x), px(y));
+        if at != last {
+            path.push(if path.is_empty() { 'M' } else { 'L' });
+            path.push_str(&at);
+            last = at;
+        }
+    }
+    path
 }

@@ -1,8 +1,7 @@
 use dataset::{Keyframe, StampedPose};
-use maud::{Markup, PreEscaped, html};
+use maud::{Markup, html};
 
-use super::map::scale_bar_m;
-use super::px;
+use super::{Figure, dots, px, round_length};
 
 const SIZE: f64 = 640.0;
 const MARGIN: f64 = 24.0;
@@ -22,37 +21,23 @@ const NORMAL_95: f64 = 1.959_963_985;
 /// 4/3 (sqrt(2) - 1).
 const KAPPA: f64 = 0.552_284_750;
 
-/// The colours are those of the report, and plain ones in a file of its own.
-const STYLE: &str = "
-.path-line { fill: none; stroke: var(--faint, #5b6570); stroke-width: 1.4; stroke-linejoin: round; }
-.path-kept { fill: none; stroke: var(--c0, #0072b2); stroke-width: 2.6; stroke-linecap: round; }
-.path-sure { fill: var(--c1, #d55e00); fill-opacity: .12; stroke: var(--c1, #d55e00); stroke-opacity: .6; stroke-width: 1; }
-.path-end { fill: var(--paper, #fff); stroke: var(--ink, #1b1f24); stroke-width: 2; }
-.path-scale { fill: none; stroke: var(--ink, #1b1f24); stroke-width: 2; }
-.path-text { fill: var(--ink, #1b1f24); font: 13px system-ui, sans-serif; }
-.path-hover { fill: var(--c0, #0072b2); fill-opacity: 0; } .path-hover:hover { fill-opacity: 1; }
-";
-
 /// The path of one log as an SVG file: its poses, where they lie in 95 of 100 cases, and the scans
 /// kept.
 pub fn path_svg(log: &str, poses: &[StampedPose], kept: &[Keyframe]) -> String {
-    svg(log, poses, kept).into_string()
+    Figure::new("path", svg("path", log, poses, kept)).standalone()
 }
 
-/// The paths of the logs by their keyframes, a figure each.
-pub(crate) fn paths(keyframes: &[Keyframe]) -> Markup {
-    html! {
-        div class="figures" {
-            @for of_log in keyframes.chunk_by(|a, b| a.id.log == b.id.log) {
-                @let poses: Vec<StampedPose> = of_log.iter().map(stamped).collect();
-                @let log = &*of_log[0].id.log;
-                figure class="map" {
-                    (svg(log, &poses, of_log))
-                    figcaption { b { (log) } ": " (caption(&poses, of_log)) }
-                }
-            }
-        }
-    }
+/// The path of the keyframes of one log.
+pub(crate) fn path(id: &str, of_log: &[Keyframe]) -> Markup {
+    let poses: Vec<StampedPose> = of_log.iter().map(stamped).collect();
+    let log = of_log.first().map_or("", |keyframe| &*keyframe.id.log);
+    svg(id, log, &poses, of_log)
+}
+
+/// What the path of the keyframes of one log shows.
+pub(crate) fn path_caption(of_log: &[Keyframe]) -> String {
+    let poses: Vec<StampedPose> = of_log.iter().map(stamped).collect();
+    caption(&poses, of_log)
 }
 
 fn stamped(keyframe: &Keyframe) -> StampedPose {
@@ -92,7 +77,7 @@ impl View {
         let ((x_min, x_max), (y_min, y_max)) = (range(|p| p.pose.x_m), range(|p| p.pose.y_m));
         let scale = (SIZE - 2.0 * MARGIN) / (x_max - x_min).max(y_max - y_min).max(1.0);
         let height = (y_max - y_min) * scale + 2.0 * MARGIN + FOOT;
-        Self { x_min, y_max, scale, height, bar_m: scale_bar_m(x_max - x_min) }
+        Self { x_min, y_max, scale, height, bar_m: round_length((x_max - x_min).max(5.0) / 5.0) }
     }
 
     fn at(&self, pose: &StampedPose) -> (f64, f64) {
@@ -143,21 +128,16 @@ impl View {
     }
 }
 
-fn svg(log: &str, poses: &[StampedPose], kept: &[Keyframe]) -> Markup {
-    let (Some(first), Some(last)) = (poses.first(), poses.last()) else { return html! {} };
+fn svg(id: &str, log: &str, poses: &[StampedPose], kept: &[Keyframe]) -> Markup {
+    let (Some(first), Some(last)) = (poses.first(), poses.last()) else {
+        return html! { svg id=(id) class="map" {} };
+    };
     let view = View::of(poses);
-    let dots: String = kept
-        .iter()
-        .map(|keyframe| {
-            let (x, y) = view.at(&stamped(keyframe));
-            format!("M{} {}h0", px(x), px(y))
-        })
-        .collect();
+    let dots = dots(kept.iter().map(|keyframe| view.at(&stamped(keyframe))));
     let ((start_x, start_y), (end_x, end_y)) = (view.at(first), view.at(last));
     html! {
-        svg class="path-figure" xmlns="http://www.w3.org/2000/svg" viewBox={ "0 0 " (SIZE) " " (px(view.height)) } role="img"
-            aria-label={ "Path of log " (log) ": " (caption(poses, kept)) } style="background: var(--wash, #f4f6f8)" {
-            style { (PreEscaped(STYLE)) }
+        svg id=(id) class="map" viewBox={ "0 0 " (SIZE) " " (px(view.height)) } role="img"
+            aria-label={ "Path of log " (log) ": " (caption(poses, kept)) } {
             @for (pose, covariance, travel_m) in sure(poses) {
                 path class="path-sure" d=(view.ellipse(pose, covariance)) {
                     title { (log) ", " (format!("{travel_m:.0}")) " m: 95 % " (within(covariance)) }
@@ -272,6 +252,6 @@ mod tests {
         let plain: Vec<StampedPose> =
             poses.iter().map(|p| StampedPose { covariance: None, ..*p }).collect();
         assert!(!path_svg("a", &plain, &[]).contains("class=\"path-sure\""));
-        assert_eq!(path_svg("a", &[], &[]), "");
+        assert!(!path_svg("a", &[], &[]).contains("<path"));
     }
 }

@@ -1,30 +1,59 @@
-use anyhow::Result;
-use dataset::Dropped;
-use dataset::tables::scans::read_scan_headers;
+use std::collections::BTreeMap;
+
+use anyhow::{Context as _, Result};
+use dataset::tables::scans::{read_scan_headers, read_scans};
 use dataset::tables::{
-    Provenance, read_keyframes, read_pairs, read_rounds, read_scores, write_file,
+    Provenance, TableError, read_features, read_grid, read_keyframes, read_pairs, read_retrieval,
+    read_rounds, read_scores, write_file,
 };
-use evaluate::{Evaluation, Fact, Input};
+use dataset::{Dropped, Keyframe};
+use evaluate::{Evaluation, Fact, Input, Sketches};
 
 use crate::config::Config;
 use crate::run::{Done, Run, Task};
 
-const INPUTS: [&str; 4] =
-    ["keyframes.parquet", "pairs.parquet", "scores.parquet", "rounds.parquet"];
+const INPUTS: [&str; 7] = [
+    "keyframes.parquet",
+    "pairs.parquet",
+    "features.parquet",
+    "scores.parquet",
+    "rounds.parquet",
+    "retrieval.parquet",
+    "grid.parquet",
+];
+
+/// The numbers of the report as JSON.
+const JSON: &str = "evaluation/summary.json";
 
 /// Scores -> evaluation/, report.html
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let task =
-        Task { stage: "evaluate", log: None, inputs: INPUTS.map(|name| run.path(name)).into() };
+    let mut inputs: Vec<_> = INPUTS.map(|name| run.path(name)).into();
+    inputs.extend(run.ingested_logs()?.iter().map(|log| run.scans(&log.name)));
+    let task = Task { stage: "evaluate", log: None, inputs };
     run.task(&task, |provenance| evaluate(run, &provenance))
 }
 
+/// As [`run`], and then prints the numbers.
+pub(crate) fn run_and_print(run: &Run) -> Result<Dropped> {
+    let dropped = self::run(run)?;
+    let path = run.path(JSON);
+    let text = std::fs::read_to_string(&path)
+        .with_context(|| format!("cannot read {}", path.display()))?;
+    out!("{}", text.trim_end());
+    Ok(dropped)
+}
+
 fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
-    let [keyframes, pairs, scores, rounds] = INPUTS.map(|name| run.path(name));
+    let [keyframes, pairs, features, scores, rounds, retrieval, grid] =
+        INPUTS.map(|name| run.path(name));
     let (keyframes, of_keyframes) = read_keyframes(&keyframes)?;
     let (pairs, _) = read_pairs(&pairs, &keyframes)?;
-    let (scores, _) = read_scores(&scores, &pairs)?;
+    let (features, _) = read_features(&features)?;
+    let (scores, of_scores) = read_scores(&scores, &pairs)?;
+    let left_out: Vec<String> = of_scores.dropped.iter().map(|(why, _)| why.to_owned()).collect();
     let (rounds, _) = read_rounds(&rounds)?;
+    let (retrieval, _) = read_retrieval(&retrieval)?;
+    let (grid, _) = read_grid(&grid)?;
     let mut dropped = of_keyframes.dropped;
     let mut facts = Vec::new();
     for log in run.ingested_logs()? {
@@ -38,20 +67,58 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let input = Input {
         keyframes: &keyframes,
         pairs: &pairs,
+        features: &features,
+        feature_rows: &[],
         scores: &scores,
+        left_out: &left_out,
         rounds: &rounds,
+        retrieval: &retrieval,
+        grid: &grid,
+        resamples: run.config.evaluate.resamples,
+        seed: run.config.seed,
         dropped: &dropped,
     };
     let evaluation = evaluate::evaluate(&input);
+    let sketches = sketches(run, &input, &evaluation)?;
+    let figures = evaluate::figures(&input, &evaluation, &sketches);
     let mut done = Done { said: said(run, &evaluation), ..Done::default() };
-    done.outputs =
-        evaluate::write_tables(&run.path("evaluation"), provenance, &input, &evaluation)?;
+    let folder = run.path("evaluation");
+    done.outputs = evaluate::write_tables(&folder, provenance, &input, &evaluation)?;
+    done.outputs.extend(evaluate::write_figures(&folder.join("figures"), &figures)?);
+    let name = &run.config.name;
+    let json = evaluate::json(name, &input, &evaluation);
+    let mut json = serde_json::to_string_pretty(&json)?;
+    json.push('\n');
+    write_file(&run.path(JSON), json.as_bytes())?;
+    done.outputs.push(run.path(JSON));
     let path = run.path("report.html");
-    let html = evaluate::report(&run.config.name, &input, &evaluation, &facts, provenance);
+    let drawn = (&sketches, &figures[..]);
+    let html = evaluate::report(name, &input, &evaluation, drawn, &facts, provenance);
     write_file(&path, html.as_bytes())?;
     done.said.push("report.html".to_owned());
     done.outputs.push(path);
     Ok(done)
+}
+
+/// Hands the scans of all keyframes to the figures that are drawn of scans.
+fn sketches(run: &Run, input: &Input<'_>, evaluation: &Evaluation) -> Result<Sketches> {
+    let mut sketches = Sketches::new(input, evaluation);
+    let mut logs: BTreeMap<&str, Vec<(u32, usize)>> = BTreeMap::new();
+    for (k, Keyframe { id, .. }) in input.keyframes.iter().enumerate() {
+        logs.entry(&id.log).or_default().push((id.scan, k));
+    }
+    for (log, mut keyframes) in logs {
+        keyframes.sort_unstable();
+        let scans: Vec<u32> = keyframes.iter().map(|&(scan, _)| scan).collect();
+        let mut of_scans = keyframes.iter().map(|&(_, k)| k);
+        read_scans(&run.scans(log), &scans, |batch| {
+            for (scan, k) in batch.iter().zip(&mut of_scans) {
+                sketches.add(input, k, scan);
+            }
+            Ok::<(), TableError>(())
+        })?;
+    }
+    Ok(sketches)
 }
 
 fn said(run: &Run, evaluation: &Evaluation) -> Vec<String> {

@@ -1,14 +1,19 @@
-use anyhow::{Result, anyhow};
+mod every_pair;
+mod grid;
+
+use anyhow::{Context as _, Result, anyhow};
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{
-    FeatureTable, Provenance, read_features, read_keyframes, read_pairs, write_rounds, write_scores,
+    FeatureTable, Provenance, read_features, read_keyframes, read_pairs, write_grid,
+    write_retrieval, write_rounds, write_scores,
 };
-use dataset::{BoostingRound, Dropped, FULL_RING_DEG, Keyframe, Label, Pair, Scores};
+use dataset::{BoostingRound, Dropped, FULL_RING_DEG, Keyframe, Label, LeftOut, Pair, Scores};
 use evaluate::{Confusion, operating_points};
 use ingest::LidarOptions;
+use label::{Dealing, Folds, Grouping};
 use model::{FeatureSpec, Measured, Model, OperatingPoint, ScanSpec, Training};
 use rayon::prelude::*;
-use train::{CrossValidated, Learner, Matrix, Round};
+use train::{FoldFit, Folded, Learner, Matrix, Round};
 
 use crate::config::EvaluateSection;
 use crate::run::{Done, Run, Task};
@@ -23,7 +28,7 @@ struct Options<'a> {
     lidars: Vec<LidarOptions>,
 }
 
-/// Pairs and features -> models/, scores.parquet, rounds.parquet
+/// Pairs and features -> models/, scores.parquet, rounds.parquet, retrieval.parquet, grid.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let config = &run.config;
     let lidars = run.ingested_logs()?.into_iter().map(|log| Ok(config.for_log(&log.name)?.lidar));
@@ -48,34 +53,49 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
     let (features, _) = read_features(&features)?;
     check_features(options.featurize, &keyframes, &features)?;
     let data = matrix(&pairs, &features);
-    let n_folds = options.evaluate.folds;
-    let groupings = options
-        .evaluate
-        .groupings
-        .iter()
-        .map(|&grouping| {
-            let folds = label::folds(grouping, n_folds, run.config.seed, &keyframes, &pairs)?;
-            Ok((grouping.name(), folds))
-        })
-        .collect::<Result<Vec<_>>>()?;
-
-    let fitted = options
+    let mut fitted: Vec<Fitted> = options
         .train
         .learners
         .par_iter()
-        .map(|&learner| fit(options, learner, &data, &groupings))
+        .map(|&learner| fit(options, learner, &data))
         .collect::<Vec<_>>()
         .into_iter()
-        .collect::<Result<Vec<_>>>()?;
+        .collect::<Result<_>>()?;
+    let mut groupings = Vec::new();
+    let mut left_out = Dropped::default();
+    let mut said = Vec::new();
+    for &grouping in &options.evaluate.groupings {
+        let dealing = dealing(options.evaluate, grouping, run.config.seed);
+        match hold_out(options, &dealing, &keyframes, &pairs, &data, &mut fitted) {
+            Ok(folds) => groupings.push((grouping, folds)),
+            Err(error) if options.evaluate.require_groupings => return Err(error),
+            Err(error) => {
+                said.push(format!("left out: {error:#}"));
+                left_out.add(format!("{error:#}"), 1);
+            }
+        }
+    }
+    if groupings.is_empty() {
+        return Err(anyhow!("no grouping can be evaluated; {}", said.join("; ")));
+    }
+    let retrieval =
+        every_pair::retrieval(options, &keyframes, &features, &data, &groupings, &fitted)?;
+    let cells = grid::grid(options, run.config.seed, &keyframes, &features)?;
     let names = &features.names;
     let scores: Vec<Scores> = fitted.iter().flat_map(|f| f.scores.iter().cloned()).collect();
     let rounds: Vec<BoostingRound> = fitted.iter().flat_map(|f| f.boosting_rounds(names)).collect();
     let mut done = Done {
-        outputs: vec![run.path("scores.parquet"), run.path("rounds.parquet")],
+        outputs: ["scores.parquet", "rounds.parquet", "retrieval.parquet", "grid.parquet"]
+            .map(|name| run.path(name))
+            .into(),
+        said,
         ..Done::default()
     };
-    write_scores(&done.outputs[0], provenance, &keyframes, &pairs, &scores)?;
+    let of_scores = Provenance { dropped: left_out, ..provenance.clone() };
+    write_scores(&done.outputs[0], &of_scores, &keyframes, &pairs, &scores)?;
     write_rounds(&done.outputs[1], provenance, &rounds)?;
+    write_retrieval(&done.outputs[2], provenance, &retrieval)?;
+    write_grid(&done.outputs[3], provenance, &cells)?;
 
     let context = Context {
         seed: run.config.seed,
@@ -104,46 +124,68 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
     Ok(done)
 }
 
+/// How pairs are dealt to folds.
+fn dealing(evaluate: &EvaluateSection, grouping: Grouping, seed: u64) -> Dealing {
+    Dealing { grouping, n_folds: evaluate.folds, place_m: evaluate.place_m, seed }
+}
+
 /// One learner, fitted on all pairs and on the folds of each grouping.
 struct Fitted {
     learner: Learner,
     rounds: Vec<Round>,
-    /// Rounds fitted without each fold, by grouping.
-    rounds_without: Vec<(&'static str, Vec<Vec<Round>>)>,
+    /// Classifiers fitted without folds, by grouping.
+    fits: Vec<(Grouping, Vec<FoldFit>)>,
     scores: Vec<Scores>,
 }
 
-fn fit(
-    options: &Options<'_>,
-    learner: Learner,
-    data: &Matrix,
-    groupings: &[(&'static str, Vec<u32>)],
-) -> Result<Fitted> {
-    let n_rounds = options.train.rounds;
+fn fit(options: &Options<'_>, learner: Learner, data: &Matrix) -> Result<Fitted> {
     let rounds = match learner.boosting() {
-        Some(boosting) => train::fit(boosting, n_rounds, data)?,
+        Some(boosting) => train::fit(boosting, options.train.rounds, data)?,
         None => Vec::new(),
     };
-    let mut rounds_without = Vec::new();
-    let mut scores = Vec::new();
-    for (grouping, folds) in groupings {
-        let CrossValidated { rounds, confidences } =
-            train::cross_validate(learner, n_rounds, data, folds, options.evaluate.folds)?;
-        scores.push(Scores {
-            learner: learner.name().to_owned(),
-            grouping: (*grouping).to_owned(),
+    Ok(Fitted { learner, rounds, fits: Vec::new(), scores: Vec::new() })
+}
+
+/// Cross-validates all learners on the folds of one grouping.
+fn hold_out(
+    options: &Options<'_>,
+    dealing: &Dealing,
+    keyframes: &[Keyframe],
+    pairs: &[Pair],
+    data: &Matrix,
+    fitted: &mut [Fitted],
+) -> Result<Folds> {
+    let folds = label::folds(dealing, keyframes, pairs)?;
+    let n_rounds = options.train.rounds;
+    let grouping = dealing.grouping;
+    let validated = fitted
+        .par_iter()
+        .map(|fitted| train::cross_validate(fitted.learner, n_rounds, &folded(data, &folds)))
+        .collect::<Vec<_>>()
+        .into_iter()
+        .collect::<Result<Vec<_>, _>>()
+        .with_context(|| format!("grouping `{}`", grouping.name()))?;
+    for (fitted, validated) in fitted.iter_mut().zip(validated) {
+        fitted.scores.push(Scores {
+            learner: fitted.learner.name().to_owned(),
+            grouping: grouping.name().to_owned(),
             n_rounds: n_rounds as usize,
-            folds: folds.clone(),
-            confidences,
+            groups: folds.groups.clone(),
+            folds: folds.folds.clone(),
+            confidences: validated.confidences,
         });
-        rounds_without.push((*grouping, rounds));
+        fitted.fits.push((grouping, validated.fits));
     }
-    Ok(Fitted { learner, rounds, rounds_without, scores })
+    Ok(folds)
+}
+
+fn folded<'a>(data: &'a Matrix, folds: &'a Folds) -> Folded<'a> {
+    Folded { data, folds: &folds.folds, keys: &folds.keys }
 }
 
 impl Fitted {
     fn boosting_rounds(&self, names: &[String]) -> Vec<BoostingRound> {
-        let rows = |left_out: Option<(String, u32)>, rounds: &[Round]| -> Vec<BoostingRound> {
+        let rows = |left_out: Option<LeftOut>, rounds: &[Round]| -> Vec<BoostingRound> {
             (1..)
                 .zip(rounds)
                 .map(|(round, fitted)| BoostingRound {
@@ -156,10 +198,11 @@ impl Fitted {
                 })
                 .collect()
         };
-        let of_folds = self.rounds_without.iter().flat_map(|(grouping, by_fold)| {
-            (0..)
-                .zip(by_fold)
-                .flat_map(|(fold, rounds)| rows(Some(((*grouping).to_owned(), fold)), rounds))
+        let of_folds = self.fits.iter().flat_map(|(grouping, fits)| {
+            fits.iter().flat_map(|fit| {
+                let grouping = grouping.name().to_owned();
+                rows(Some(LeftOut { grouping, folds: fit.left_out }), &fit.rounds)
+            })
         });
         rows(None, &self.rounds).into_iter().chain(of_folds).collect()
     }
@@ -188,7 +231,7 @@ fn model_of(
         let counts = Confusion::count(data.labels(), confidences.iter().copied(), 0.0);
         measured.push(Measured {
             grouping: scores.grouping.clone(),
-            folds: options.evaluate.folds,
+            folds: scores.folds.iter().flatten().max().map_or(0, |fold| fold + 1),
             rounds: scores.n_rounds as u32,
             error: counts.error(),
             precision: counts.precision(),

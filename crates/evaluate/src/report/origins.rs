@@ -1,0 +1,34 @@
+//! Where the numbers come from.
+
+use std::collections::BTreeMap;
+
+use maud::{Markup, html};
+
+use super::Fact;
+use crate::Input;
+
+pub(super) fn origins(input: &Input<'_>, facts: &[Fact]) -> Markup {
+    let mut keyframes: BTreeMap<&str, usize> = BTreeMap::new();
+    for keyframe in input.keyframes {
+        *keyframes.entry(&keyframe.id.log).or_default() += 1;
+    }
+    html! {
+        section {
+            h2 { "Where this comes from" }
+            @if input.dropped.is_empty() {
+                p { "Nothing was dropped: every scan and pose in the logs could be used." }
+            } @else {
+                p { b { "Left out" } ", by reason:" }
+                ul { @for (reason, n) in input.dropped.iter() { li { (n) " " (reason) } } }
+            }
+            div class="scroll" {
+                table class="facts" {
+                    tbody {
+                        @for (log, n) in &keyframes { tr { th { (log) } td class="text" { (n) " keyframes" } } }
+                        @for fact in facts { tr { th { (fact.name) } td class="text" { code { (fact.value) } } } }
+                    }
+                }
+            }
+        }
+    }
+}

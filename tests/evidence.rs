@@ -1,0 +1,235 @@
+//! The evidence that a run gives: groupings, intervals, every pair, other label rules.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use dataset::tables::{read_grid, read_keyframes, read_pairs, read_retrieval, read_scores};
+use dataset::{Keyframe, Label};
+
+use crate::support::Workplace;
+
+const PIPELINE: &str = r#"
+name = "drive"
+seed = 7
+
+[simulate]
+logs = ["there", "back"]
+length_m = 240.0
+people = 3
+
+[ingest]
+site = "building"
+pose.topic = "/ground_truth"
+
+[label]
+negative_min_m = 20.0
+pairs_per_class = 150
+
+[train]
+learners = ["discrete", "gentle_stump", "knn", "svm"]
+rounds = 10
+
+[evaluate]
+groupings = ["pair", "scan", "place"]
+place_m = 8.0
+resamples = 100
+
+[evaluate.grid]
+positive_radius_m = [1.0, 1.5]
+negative_min_m = [20.0, 50.0]
+min_travel_gap_m = [0.0, 500.0]
+learners = ["discrete", "knn"]
+"#;
+
+/// No scan and no block of ground of a pair lies in a fold that its classifier learned from: folds
+/// belong to scans, and a fit of `rounds.parquet` names both folds that it did not see.
+#[test]
+fn scans_and_places_are_kept_apart_and_every_pair_is_scored_once() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "out", &[]).expect(0);
+    let out = |name: &str| workplace.path("out").join(name);
+    let (keyframes, _) = read_keyframes(&out("keyframes.parquet")).unwrap();
+    let (pairs, _) = read_pairs(&out("pairs.parquet"), &keyframes).unwrap();
+    let (scores, _) = read_scores(&out("scores.parquet"), &pairs).unwrap();
+    let blocks: BTreeSet<_> = scores.iter().map(|s| (&*s.learner, &*s.grouping)).collect();
+    assert_eq!((blocks.len(), scores.len()), (12, 12), "4 learners by 3 groupings, each once");
+    let place = |k: &Keyframe| [k.pose.x_m, k.pose.y_m].map(|m| (m / 8.0).floor().to_string());
+    for s in &scores {
+        assert_eq!((s.folds.len(), s.confidences.len()), (300, 3000));
+        assert!(s.confidences.iter().all(|c| c.is_finite()));
+        let mut fold_of: BTreeMap<String, u32> = BTreeMap::new();
+        for (pair, &[query, reference]) in pairs.iter().zip(&s.folds) {
+            for (end, fold) in [(pair.query, query), (pair.reference, reference)] {
+                let name = match &*s.grouping {
+                    "pair" => format!("{} {}", pair.query, pair.reference),
+                    "scan" => end.to_string(),
+                    _ => place(&keyframes[end]).join(" "),
+                };
+                assert_eq!(*fold_of.entry(name).or_insert(fold), fold, "{}", s.grouping);
+            }
+        }
+    }
+
+    let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
+    for part in ["by scan", "no block of ground on both sides", "Every pair of a log"] {
+        assert!(report.contains(part), "{part}");
+    }
+}
+
+/// Counted from the keyframes alone.
+#[test]
+fn every_pair_of_a_log_is_counted_by_the_label_rules() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "out", &["--set", "evaluate.recent_m=12.5"]).expect(0);
+    let out = |name: &str| workplace.path("out").join(name);
+    let (keyframes, _) = read_keyframes(&out("keyframes.parquet")).unwrap();
+    let (rows, _) = read_retrieval(&out("retrieval.parquet")).unwrap();
+    // 3 learners (k-NN is too slow for it), 2 logs and both together, 2 readings.
+    assert_eq!(rows.len(), 3 * 3 * 2);
+    let mut of_all = [0; 3];
+    for log in ["there", "back"] {
+        let of_log: Vec<&Keyframe> = keyframes.iter().filter(|k| &*k.id.log == log).collect();
+        let mut counts = [0; 3];
+        for (k, a) in of_log.iter().enumerate() {
+            for b in of_log[..k].iter().filter(|b| 12.5 <= a.travel_m - b.travel_m) {
+                let distance_m = a.pose.distance_m(&b.pose);
+                counts[if distance_m <= 1.5 {
+                    0
+                } else if distance_m <= 20.0 {
+                    1
+                } else {
+                    2
+                }] += 1;
+            }
+        }
+        for row in rows.iter().filter(|r| r.log.as_deref() == Some(log)) {
+            let found = [row.n_positive, row.n_ambiguous, row.n_negative];
+            let [positive, ambiguous, negative] = counts;
+            match row.ambiguous_as_negative {
+                false => assert_eq!(found, counts),
+                true => assert_eq!(found, [positive, 0, negative + ambiguous]),
+            }
+            assert_eq!((row.n_unscored, row.query_stride), (0, 1));
+        }
+        of_all = [0, 1, 2].map(|k| of_all[k] + counts[k]);
+    }
+    assert!(of_all.iter().all(|&n| n > 100), "{of_all:?}");
+    for row in rows.iter().filter(|r| r.log.is_none() && !r.ambiguous_as_negative) {
+        assert_eq!([row.n_positive, row.n_ambiguous, row.n_negative], of_all);
+        assert_eq!(row.curve.last().map(|p| p.true_positive), Some(row.n_positive));
+        // Average precision again from the curve, which is whole where there are so few positives.
+        let mut average_precision = 0.0;
+        let mut before = 0;
+        for point in &row.curve {
+            let precision =
+                point.true_positive as f64 / (point.true_positive + point.false_positive) as f64;
+            average_precision +=
+                (point.true_positive - before) as f64 / row.n_positive as f64 * precision;
+            before = point.true_positive;
+        }
+        assert!(row.n_positive <= 2000, "{}", row.n_positive);
+        assert!((average_precision - row.average_precision.unwrap()).abs() < 1e-12);
+        let base = row.n_positive as f64 / (row.n_positive + row.n_negative) as f64;
+        assert!(average_precision > 2.0 * base, "{average_precision} at {base}");
+    }
+
+    // Thinned: fewer queries, and the report says so. Off: none.
+    workplace.command("run", "out", &["--set", "evaluate.max_pairs=10000"]).expect(0);
+    let (thinned, _) = read_retrieval(&out("retrieval.parquet")).unwrap();
+    assert!(thinned[0].query_stride > 1 && thinned[0].n_positive < rows[0].n_positive);
+    workplace.command("run", "out", &["--set", "evaluate.every_pair=false"]).expect(0);
+    assert!(read_retrieval(&out("retrieval.parquet")).unwrap().0.is_empty());
+}
+
+/// A cell with the pipeline's own rules has the error that the pipeline has; one that asks for
+/// revisits longer than the drive says what is lacking.
+#[test]
+fn the_grid_draws_pairs_by_other_rules() {
+    let workplace = Workplace::new(PIPELINE);
+    let told = workplace.command("run", "out", &[]).expect(0);
+    let out = |name: &str| workplace.path("out").join(name);
+    let (cells, _) = read_grid(&out("grid.parquet")).unwrap();
+    assert_eq!(cells.len(), 2 * 2 * 2 * 2);
+    let own = cells
+        .iter()
+        .find(|c| c.learner == "discrete" && c.positive_radius_m > 1.2 && c.negative_min_m < 40.0);
+    let own = own.unwrap().error.clone().unwrap();
+    let line = format!("discrete by place: error {:.1} % at T = 10", own * 100.0);
+    assert!(told.stdout.contains(&line), "{line}\n{}", told.stdout);
+    // Pairs of two logs have no path between them: revisits are these alone.
+    for cell in cells.iter().filter(|c| c.min_travel_gap_m > 0.0) {
+        match &cell.error {
+            Ok(error) => assert!((0.0..=1.0).contains(error)),
+            Err(reason) => assert!(reason.contains("of 150 positive pairs"), "{reason}"),
+        }
+    }
+    let more = ["--set", "label.pairs_per_class=2000", "--set", "evaluate.groupings=[\"pair\"]"];
+    workplace.command("run", "out", &more).expect(0);
+    let (cells, _) = read_grid(&out("grid.parquet")).unwrap();
+    let reasons = cells.iter().filter_map(|c| c.error.as_ref().err());
+    assert!(reasons.clone().any(|r| r.contains("of 2000 positive pairs")), "{cells:?}");
+}
+
+#[test]
+fn the_evidence_does_not_depend_on_the_number_of_threads() {
+    let workplace = Workplace::new(PIPELINE);
+    for (out, threads) in [("one", 1), ("eight", 8)] {
+        workplace.command_with_threads("run", out, &[], threads).expect(0);
+    }
+    let (one, eight) = (workplace.files("one"), workplace.files("eight"));
+    assert_eq!(one.keys().collect::<Vec<_>>(), eight.keys().collect::<Vec<_>>());
+    for (name, bytes) in &one {
+        assert!(eight[name] == *bytes, "{name} has other bytes");
+    }
+}
+
+#[test]
+fn the_numbers_are_printed_as_json_and_nothing_else_is() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "out", &[]).expect(0);
+    let printed = workplace.command("evaluate", "out", &["--json"]).expect(0).stdout;
+    let told: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!(printed.as_bytes(), workplace.files("out")["evaluation/summary.json"]);
+    assert_eq!(told["pairs"], serde_json::json!({ "positive": 150, "negative": 150 }));
+    let summary = told["summary"].as_array().unwrap();
+    assert_eq!(summary.len(), 12);
+    for row in summary {
+        let error = row["error"]["value"].as_f64().unwrap();
+        let bound = |end: usize| row["error"]["interval"][end].as_f64().unwrap();
+        assert!(bound(0) <= error && error <= bound(1), "{row}");
+        assert!(bound(0) < bound(1), "{row}");
+        let at_0 = row["recall_at_full_precision"]["value"].as_f64().unwrap();
+        assert!(at_0 <= row["detection_at_1_percent"]["value"].as_f64().unwrap());
+    }
+}
+
+#[test]
+fn what_cannot_be_held_out_is_refused_with_the_remedy() {
+    let workplace = Workplace::new(PIPELINE);
+    let by_log = ["--set", "evaluate.groupings=[\"log\"]"];
+    let one = ["--set", "simulate.logs=[\"there\"]"];
+    workplace
+        .command("run", "out", &[one, by_log].concat())
+        .expect(2)
+        .says(&["`evaluate.groupings` has `log`", "add logs, or leave `log` out"]);
+    assert!(!workplace.path("out/logs").exists(), "before anything is done");
+    // Two logs, and pairs between them: without both nothing is left to learn from.
+    let why = "grouping `log`: without folds 0 and 1, 0 positive and 0 negative pairs are left";
+    let none = workplace.command("run", "out", &by_log).expect(1);
+    none.says(&["no grouping can be evaluated", why, "leave the grouping out"]);
+    // Beside a grouping that can be evaluated it is left out and told, or is an error.
+    let both = ["--set", "evaluate.groupings=[\"pair\", \"log\"]"];
+    let told = workplace.command("run", "out", &both).expect(0).stdout;
+    assert!(told.contains(&format!("train      left out: {why}")), "{told}");
+    let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
+    assert!(report.contains(&format!("Not evaluated: {why}")));
+    let required = [both, ["--set", "evaluate.require_groupings=true"]].concat();
+    workplace.command("run", "out", &required).expect(1).says(&[why]);
+    workplace
+        .command("run", "out", &["--set", "evaluate.place_m=0"])
+        .expect(2)
+        .says(&["`evaluate.place_m` is 0"]);
+    workplace
+        .command("run", "out", &["--set", "evaluate.grid.negative_min_m=[1.0]"])
+        .expect(2)
+        .says(&["[evaluate.grid], as `label.negative_min_m` is 1"]);
+}
