@@ -2,6 +2,7 @@
 //!
 //! Invariant: no Arrow, no Parquet, no MCAP; this crate also runs on a robot.
 
+mod batch;
 mod card;
 mod classifier;
 mod file;
