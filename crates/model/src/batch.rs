@@ -4,7 +4,7 @@
 //! batch saves is the decision, pair by pair and round by round, what kind of weak learner it is,
 //! and the loads of features that no round looks at.
 
-use crate::{Classifier, WeakLearner};
+use crate::{Classifier, MAX_DEPTH, Tree, WeakLearner};
 
 /// Pairs scored together: the differences of all features that rounds look at stay in the cache.
 const BLOCK: usize = 256;
@@ -64,61 +64,96 @@ impl Classifier {
     }
 }
 
-/// A classifier whose rounds name their features by their place among those used.
+/// A classifier, and the features that its rounds look at.
 struct Batch<'a> {
     rounds: &'a [WeakLearner],
-    /// Features that a round looks at, ascending.
+    /// Ascending.
     used: Vec<usize>,
-    /// Place in `used` of each round's feature, `(n_rounds,)`.
+    /// Place of each feature among those used; 0 for the others.
     places: Vec<usize>,
 }
 
 impl<'a> Batch<'a> {
     fn new(classifier: &'a Classifier) -> Self {
         let rounds = &classifier.rounds[..];
-        let mut used: Vec<usize> = rounds.iter().map(WeakLearner::feature).collect();
+        let splits = rounds.iter().flat_map(WeakLearner::splits);
+        let mut used: Vec<usize> = splits.map(|split| split.feature).collect();
         used.sort_unstable();
         used.dedup();
-        let places = rounds.iter().map(|weak| used.partition_point(|&u| u < weak.feature()));
-        Self { rounds, places: places.collect(), used }
+        // A node that does not split names feature 0.
+        let mut places = vec![0; used.last().map_or(1, |last| last + 1)];
+        for (place, &feature) in used.iter().enumerate() {
+            places[feature] = place;
+        }
+        Self { rounds, used, places }
     }
 
-    /// Adds the values of all rounds to a block of sums; `column` has a used feature's differences.
+    /// Adds the values of all rounds to a block of sums; `column` has the differences of the
+    /// feature of a place.
     fn add<'c>(&self, column: impl Fn(usize) -> &'c [f64], sums: &mut [f64]) {
-        for (weak, &place) in self.rounds.iter().zip(&self.places) {
-            let pairs = sums.iter_mut().zip(column(place));
+        let column = |feature: usize| column(self.places[feature]);
+        for weak in self.rounds {
             // Each loop has no branch in it, so that it runs on vectors.
             match *weak {
-                WeakLearner::Vote { threshold, polarity, alpha, .. } if 0.0 < polarity => {
-                    pairs.for_each(|(sum, &f)| *sum += if f < threshold { alpha } else { -alpha });
+                WeakLearner::Vote { feature, threshold, polarity, alpha } if 0.0 < polarity => {
+                    each(sums, column(feature), |f| if f < threshold { alpha } else { -alpha });
                 }
-                WeakLearner::Vote { threshold, alpha, .. } => {
-                    pairs.for_each(|(sum, &f)| *sum += if threshold < f { alpha } else { -alpha });
+                WeakLearner::Vote { feature, threshold, alpha, .. } => {
+                    each(sums, column(feature), |f| if threshold < f { alpha } else { -alpha });
                 }
-                WeakLearner::Line { slope, intercept, .. } => {
-                    pairs.for_each(|(sum, &f)| *sum += slope * f + intercept);
+                WeakLearner::Line { feature, slope, intercept } => {
+                    each(sums, column(feature), |f| slope * f + intercept);
                 }
-                WeakLearner::Step { threshold, below, above, .. } => {
-                    pairs.for_each(|(sum, &f)| *sum += if f < threshold { below } else { above });
+                WeakLearner::Step { feature, threshold, below, above } => {
+                    each(sums, column(feature), |f| if f < threshold { below } else { above });
                 }
+                WeakLearner::Tree(ref tree) => add_tree(tree, &column, sums),
             }
         }
     }
 }
 
+#[inline]
+fn each(sums: &mut [f64], column: &[f64], value: impl Fn(f64) -> f64) {
+    for (sum, &f) in sums.iter_mut().zip(column) {
+        *sum += value(f);
+    }
+}
+
+/// Level by level: the node each pair stands at.
+fn add_tree<'c>(tree: &Tree, column: &impl Fn(usize) -> &'c [f64], sums: &mut [f64]) {
+    let n_nodes = tree.nodes().len();
+    let mut columns = [&[][..]; (1 << MAX_DEPTH) - 1];
+    for (column_of, node) in columns.iter_mut().zip(tree.nodes()) {
+        *column_of = column(node.feature);
+    }
+    for (k, sum) in sums.iter_mut().enumerate() {
+        let mut place = 0;
+        for _ in 0..tree.depth() {
+            let is_right = tree.nodes()[place].threshold <= columns[place][k];
+            place = 2 * place + 1 + usize::from(is_right);
+        }
+        *sum += tree.leaves()[place - n_nodes];
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use crate::{Classifier, Learner, WeakLearner};
+    use crate::{Classifier, Learner, Node, Tree, WeakLearner};
 
     /// A feature table whose values repeat, so that differences meet thresholds exactly, more pairs
     /// than a block holds, and no feature in order.
     #[test]
     fn a_batch_gives_what_pairs_give_one_by_one() {
+        let split = |feature, threshold| Node { feature, threshold };
+        let nodes = [split(4, 2.0), Node::PASS, split(1, 3.0)];
+        let tree = Tree::new(&nodes, &[0.17, 0.0, -0.19, 0.23]).unwrap();
         let rounds = vec![
             WeakLearner::Vote { feature: 3, threshold: 2.0, polarity: 1.0, alpha: 0.3 },
             WeakLearner::Vote { feature: 0, threshold: 1.0, polarity: -1.0, alpha: 0.7 },
             WeakLearner::Line { feature: 1, slope: -0.1, intercept: 0.9 },
             WeakLearner::Step { feature: 3, threshold: 4.0, below: 0.11, above: -0.13 },
+            WeakLearner::Tree(tree),
         ];
         let classifier = Classifier { learner: Learner::Discrete, rounds };
         let features: Vec<f64> = (0..40 * 5).map(|k| f64::from(k * k % 7)).collect();

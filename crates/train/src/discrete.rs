@@ -59,7 +59,7 @@ pub(crate) fn fit(n_rounds: u32, data: &Matrix) -> Vec<Round> {
             alpha: libm::log(1.0 / beta),
         };
         for ((w, &x), label) in weights.iter_mut().zip(data.column(feature)).zip(data.labels()) {
-            if Label::from_confidence(weak.value_of_feature(x), 0.0) == *label {
+            if Label::from_confidence(weak.value_of(|_| x), 0.0) == *label {
                 *w *= beta;
             }
         }

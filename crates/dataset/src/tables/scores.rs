@@ -116,6 +116,7 @@ pub fn write_rounds(path: &Path, provenance: &Provenance, rounds: &[BoostingRoun
         ),
         ("fold", Arc::new(rounds.iter().map(|r| Some(left_out(r)?.1)).collect::<UInt32Array>())),
         ("round", Arc::new(UInt32Array::from_iter_values(rounds.iter().map(|r| r.round)))),
+        ("node", Arc::new(rounds.iter().map(|r| r.node).collect::<UInt32Array>())),
         ("feature", strings(rounds.iter().map(|r| &*r.feature))),
         ("threshold", Arc::new(rounds.iter().map(|r| r.threshold).collect::<Float64Array>())),
         (
@@ -123,7 +124,12 @@ pub fn write_rounds(path: &Path, provenance: &Provenance, rounds: &[BoostingRoun
             Arc::new(Float64Array::from_iter_values(rounds.iter().map(|r| r.weighted_error))),
         ),
     ];
-    write_table(path, "rounds", provenance, &batch(columns, &["grouping", "fold", "threshold"]))
+    write_table(
+        path,
+        "rounds",
+        provenance,
+        &batch(columns, &["grouping", "fold", "node", "threshold"]),
+    )
 }
 
 /// Reads `rounds.parquet`.
@@ -134,6 +140,7 @@ pub fn read_rounds(path: &Path) -> Result<(Vec<BoostingRound>, Provenance)> {
     let groupings = columns.nullable_strings("grouping")?;
     let folds = columns.nullable_numbers::<UInt32Type>("fold")?;
     let rounds = columns.numbers::<UInt32Type>("round")?;
+    let nodes = columns.nullable_numbers::<UInt32Type>("node")?;
     let features = columns.strings("feature")?;
     let thresholds = columns.nullable_numbers::<Float64Type>("threshold")?;
     let errors = columns.numbers::<Float64Type>("weighted_error")?;
@@ -144,6 +151,7 @@ pub fn read_rounds(path: &Path) -> Result<(Vec<BoostingRound>, Provenance)> {
                 .is_valid(row)
                 .then(|| (groupings.value(row).to_owned(), folds.value(row))),
             round: rounds.value(row),
+            node: nodes.is_valid(row).then(|| nodes.value(row)),
             feature: features.value(row).to_owned(),
             threshold: thresholds.is_valid(row).then(|| thresholds.value(row)),
             weighted_error: errors.value(row),

@@ -97,7 +97,9 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
         let error = model.measured.first().map_or(f64::NAN, |m| m.error * 100.0);
         done.said.push(format!(
             "{} {}: error {error:.1} % at T = {}",
-            model.name, folder.version, options.train.rounds
+            model.name,
+            folder.version,
+            options.train.rounds_of(fitted.learner)
         ));
         done.outputs.extend(folder.files);
     }
@@ -119,7 +121,7 @@ fn fit(
     data: &Matrix,
     groupings: &[(&'static str, Vec<u32>)],
 ) -> Result<Fitted> {
-    let n_rounds = options.train.rounds;
+    let n_rounds = options.train.rounds_of(learner);
     let rounds = match learner.boosting() {
         Some(boosting) => train::fit(boosting, n_rounds, data)?,
         None => Vec::new(),
@@ -146,12 +148,14 @@ impl Fitted {
         let rows = |left_out: Option<(String, u32)>, rounds: &[Round]| -> Vec<BoostingRound> {
             (1..)
                 .zip(rounds)
-                .map(|(round, fitted)| BoostingRound {
+                .flat_map(|(round, fitted)| fitted.weak.splits().map(move |s| (round, fitted, s)))
+                .map(|(round, fitted, split)| BoostingRound {
                     learner: self.learner.name().to_owned(),
                     left_out: left_out.clone(),
                     round,
-                    feature: names[fitted.weak.feature()].clone(),
-                    threshold: fitted.weak.threshold(),
+                    node: split.node,
+                    feature: names[split.feature].clone(),
+                    threshold: split.threshold,
                     weighted_error: fitted.weighted_error,
                 })
                 .collect()
