@@ -227,3 +227,78 @@ fn splits(
     };
     totals.iter().enumerate().map(best_of).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Label::{Negative, Positive};
+
+    /// 40 positives at 1 and 40 negatives at 2 of the second feature; the first is constant.
+    ///
+    /// On paper: v = 80 / 80 = 1, p = 1/2, g = +-1/2, h = 1/4. The one split is at 1.5: left
+    /// G = 20 and H = 10, right -20 and 10; each side is pure, but every split of it would need
+    /// another value. Leaves 0.1 x 20 / 11 = 2/11 and -2/11. Explained: 80 pairs x (2/11)
+    /// (2 x 1/2 - 2/11 x 1/4) of the 80 squares of (g/h)^2 h = 1: left over
+    /// 1 - 2/11 + (2/11)^2 / 4 = 100/121.
+    #[test]
+    fn two_values_by_hand() {
+        let labels = [[Positive; 40], [Negative; 40]].concat();
+        let x = labels.iter().map(|l| if *l == Positive { 1.0 } else { 2.0 }).collect();
+        let rounds = fit(2, &Matrix::new(vec![vec![7.0; 80], x], labels));
+        let WeakLearner::Tree(tree) = rounds[0].weak else { panic!("logit_trees gives trees") };
+        let splits: Vec<_> = rounds[0].weak.splits().collect();
+        assert_eq!(splits.len(), 1);
+        assert_eq!((splits[0].feature, splits[0].threshold), (1, Some(1.5)));
+        let value = |x: f64| tree.value_of(|_| x);
+        assert!((value(1.0) - 2.0 / 11.0).abs() < 1e-12);
+        assert!((value(2.0) + 2.0 / 11.0).abs() < 1e-12);
+        assert!((rounds[0].weighted_error - 100.0 / 121.0).abs() < 1e-12);
+        // Round 2, with p of the positives 1 / (1 + e^(-2/11)): G = 40 (1 - p), H = 40 p (1 - p).
+        let p = 1.0 / (1.0 + (-2.0f64 / 11.0).exp());
+        let expected = 0.1 * 40.0 * (1.0 - p) / (40.0 * p * (1.0 - p) + 1.0);
+        let WeakLearner::Tree(tree) = rounds[1].weak else { unreachable!() };
+        assert!((tree.value_of(|_| 1.0) - expected).abs() < 1e-12);
+    }
+
+    /// Neither feature alone tells these apart; two levels do.
+    #[test]
+    fn a_tree_learns_what_two_features_tell_together() {
+        let quarter = |k: usize| k % 100 / 25;
+        let columns = vec![
+            (0..400).map(|k| f64::from(quarter(k) < 2) + k as f64 * 1e-6).collect(),
+            (0..400).map(|k| (quarter(k) % 2) as f64 + k as f64 * 1e-6).collect(),
+        ];
+        let label = |k| if (quarter(k) < 2) == (quarter(k) % 2 == 0) { Positive } else { Negative };
+        let data = Matrix::new(columns, (0..400).map(label).collect());
+        let rounds = fit(30, &data);
+        let classifier = crate::classifier(model::Learner::LogitTrees, &rounds);
+        let confidences = classifier.score_columns(data.columns());
+        let right = confidences.iter().zip(data.labels());
+        assert!(right.filter(|(c, l)| Label::from_confidence(**c, 0.0) == **l).count() > 390);
+    }
+
+    #[test]
+    fn too_few_pairs_for_two_leaves_and_constants_teach_nothing() {
+        let labels = [[Positive; 19], [Negative; 19]].concat();
+        let x: Vec<f64> = (0..38).map(f64::from).collect();
+        assert!(fit(3, &Matrix::new(vec![x], labels.clone())).is_empty());
+        assert!(fit(3, &Matrix::new(vec![vec![1.0; 38]], labels)).is_empty());
+    }
+
+    #[test]
+    fn bins_hold_equal_shares_and_never_part_equal_values() {
+        let few = bin(&[2.0, 1.0, 2.0, 3.0]);
+        assert_eq!((few.bins, few.thresholds), (vec![1, 0, 1, 2], vec![1.5, 2.5]));
+        let column: Vec<f64> = (0..10_000).map(|k| f64::from(k * 7919 % 10_000)).collect();
+        let many = bin(&column);
+        assert_eq!(many.thresholds.len(), MAX_BINS - 1);
+        let mut counts = [0; MAX_BINS];
+        for (&bin, &x) in many.bins.iter().zip(&column) {
+            counts[usize::from(bin)] += 1;
+            let below = many.thresholds.iter().filter(|&&t| t < x).count();
+            assert_eq!(usize::from(bin), below);
+        }
+        // 10,000 / 256 = 39.06
+        assert!(counts.iter().all(|n| (39..=40).contains(n)), "{counts:?}");
+    }
+}
