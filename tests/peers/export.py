@@ -20,16 +20,30 @@ n = int(sys.argv[3]) if len(sys.argv) > 3 else 10_000
 rng = np.random.default_rng(model["seed"])
 
 # Differences around the thresholds, feature by feature.
+splits = [s for r in model["rounds"] for s in r.get("nodes", [r]) if s is not None]
 scales = {name: 1.0 for name in names}
-for r in model["rounds"]:
-    scales[r["feature"]] = max(scales[r["feature"]], abs(r.get("threshold", 1.0)))
+for s in splits:
+    scales[s["feature"]] = max(scales[s["feature"]], abs(s.get("threshold", 1.0)))
 F = np.abs(rng.normal(size=(n, len(names)))) * np.array([scales[name] for name in names])
-for k, r in enumerate(model["rounds"]):
-    if "threshold" in r:
-        F[k :: 2 * len(model["rounds"]), names.index(r["feature"])] = r["threshold"]
+for k, s in enumerate(splits):
+    if "threshold" in s:
+        F[k :: 2 * len(splits), names.index(s["feature"])] = s["threshold"]
+
+
+def leaves(r, rows, node=0):
+    """The leaf that each of the rows comes to, from a node on; children of k are 2 k + 1, 2 k + 2."""
+    if len(r["nodes"]) <= node:
+        return np.full(len(rows), r["leaves"][node - len(r["nodes"])])
+    left, right = leaves(r, rows, 2 * node + 1), leaves(r, rows, 2 * node + 2)
+    s = r["nodes"][node]
+    return left if s is None else np.where(rows[:, names.index(s["feature"])] < s["threshold"], left, right)
+
 
 expected = np.zeros(n)
 for r in model["rounds"]:
+    if r["kind"] == "tree":
+        expected += leaves(r, F)
+        continue
     f = F[:, names.index(r["feature"])]
     if r["kind"] == "vote":
         expected += np.where(r["polarity"] * f < r["polarity"] * r["threshold"], r["alpha"], -r["alpha"])

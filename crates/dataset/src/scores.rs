@@ -32,7 +32,7 @@ pub struct LeftOut {
     pub folds: [u32; 2],
 }
 
-/// One round of boosting, as it was fitted.
+/// One round of boosting, as it was fitted; of a tree, one of its splits.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoostingRound {
     /// The learner's name.
@@ -41,12 +41,15 @@ pub struct BoostingRound {
     pub left_out: Option<LeftOut>,
     /// Round, from 1.
     pub round: u32,
+    /// Node of the tree, 0 its root, the children of k at 2 k + 1 and 2 k + 2; none for weak
+    /// learners of one feature.
+    pub node: Option<u32>,
     /// Name of the feature chosen.
     pub feature: String,
     /// Its threshold, for weak learners that have one.
     pub threshold: Option<f64>,
     /// Error under the round's weights: the share of wrong labels (`discrete`) or the mean of
-    /// the squared residuals (gentle learners).
+    /// the squared residuals (the others; of a tree, as a share of the squares there were).
     pub weighted_error: f64,
 }
 

@@ -2,10 +2,13 @@
 //!
 //! Everything here also runs on a robot: no Arrow, no Parquet, no MCAP.
 
+mod campus;
 mod paper16;
 
+use dataset::{Scan, Unusable};
 use serde::{Deserialize, Serialize};
 
+pub use campus::{CAMPUS_NAMES, Campus};
 pub use paper16::{PAPER16_NAMES, Paper16};
 
 /// The section `[featurize]`.
@@ -15,7 +18,7 @@ pub use paper16::{PAPER16_NAMES, Paper16};
 pub struct Options {
     /// Which features.
     pub set: FeatureSet,
-    /// A step between neighbouring returns longer than this separates two groups \[m\]
+    /// Of `paper16`: a step between neighbouring returns longer than this separates two groups \[m\]
     /// (Granstroem et al. 2009, "Learning to detect loop closure from range data": 2.5 m).
     pub gate_m: f64,
 }
@@ -52,6 +55,8 @@ impl Options {
 pub enum FeatureSet {
     /// The 16 features of the paper's Appendix A.
     Paper16,
+    /// What walls, gaps and openings look like from about a place, whichever way the scanner looks.
+    Campus,
 }
 
 impl FeatureSet {
@@ -59,13 +64,14 @@ impl FeatureSet {
     pub fn name(self) -> &'static str {
         match self {
             Self::Paper16 => "paper16",
+            Self::Campus => "campus",
         }
     }
 
     /// Version of the definitions; a model of another version does not fit.
     pub fn version(self) -> u32 {
         match self {
-            Self::Paper16 => 1,
+            Self::Paper16 | Self::Campus => 1,
         }
     }
 
@@ -73,7 +79,39 @@ impl FeatureSet {
     pub fn feature_names(self) -> &'static [&'static str] {
         match self {
             Self::Paper16 => &PAPER16_NAMES,
+            Self::Campus => &CAMPUS_NAMES,
         }
+    }
+}
+
+/// Computes the features of a set, of one scan after another, reusing its memory.
+#[derive(Debug, Clone)]
+pub enum Featurizer {
+    /// Those of [`FeatureSet::Paper16`].
+    Paper16(Paper16),
+    /// Those of [`FeatureSet::Campus`].
+    Campus(Box<Campus>),
+}
+
+impl Featurizer {
+    /// For the set and the gate of the options.
+    pub fn new(options: &Options) -> Self {
+        match options.set {
+            FeatureSet::Paper16 => Self::Paper16(Paper16::new(options.gate_m)),
+            FeatureSet::Campus => Self::Campus(Box::default()),
+        }
+    }
+
+    /// Writes the features of a scan, in the order of [`FeatureSet::feature_names`]; always finite.
+    ///
+    /// # Panics
+    /// If `features` does not have the set's length.
+    pub fn features(&mut self, scan: &Scan, features: &mut [f64]) -> Result<(), Unusable> {
+        match self {
+            Self::Paper16(paper16) => features.copy_from_slice(&paper16.features(scan)?),
+            Self::Campus(campus) => features.copy_from_slice(&campus.features(scan)?),
+        }
+        Ok(())
     }
 }
 

@@ -1,5 +1,7 @@
 use serde::{Deserialize, Serialize};
 
+use crate::tree::Tree;
+
 /// The learners.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -11,6 +13,8 @@ pub enum Learner {
     GentleLine,
     /// Gentle AdaBoost over regression stumps (Friedman, Hastie and Tibshirani 2000).
     GentleStump,
+    /// LogitBoost over small regression trees (Friedman, Hastie and Tibshirani 2000, Algorithm 3).
+    LogitTrees,
 }
 
 impl Learner {
@@ -20,11 +24,13 @@ impl Learner {
             Self::Discrete => "discrete",
             Self::GentleLine => "gentle_line",
             Self::GentleStump => "gentle_stump",
+            Self::LogitTrees => "logit_trees",
         }
     }
 }
 
-/// One round of boosting: a function of one feature, added to the confidence.
+/// One round of boosting: a function of one feature, or of the few of a tree, added to the
+/// confidence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum WeakLearner {
     /// `alpha` where p F < p theta, else `-alpha`.
@@ -58,47 +64,64 @@ pub enum WeakLearner {
         /// Weighted mean of the labels at or above the threshold.
         above: f64,
     },
+    /// The leaf that the splits lead to.
+    Tree(Tree),
+}
+
+/// A place where a weak learner looks at a feature.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Split {
+    /// Its node in a tree, 0 the root, the children of k at 2 k + 1 and 2 k + 2; none for weak
+    /// learners of one feature.
+    pub node: Option<u32>,
+    /// Index of the feature.
+    pub feature: usize,
+    /// The threshold, for those that have one.
+    pub threshold: Option<f64>,
 }
 
 impl WeakLearner {
-    /// Index of the feature it looks at.
-    pub fn feature(&self) -> usize {
-        match *self {
-            Self::Vote { feature, .. }
-            | Self::Line { feature, .. }
-            | Self::Step { feature, .. } => feature,
-        }
-    }
-
-    /// The threshold on the feature, for those that have one.
-    pub fn threshold(&self) -> Option<f64> {
-        match *self {
-            Self::Vote { threshold, .. } | Self::Step { threshold, .. } => Some(threshold),
-            Self::Line { .. } => None,
-        }
+    /// Where it looks at features: once, or at the nodes of a tree in order.
+    pub fn splits(&self) -> impl Iterator<Item = Split> + '_ {
+        let one = match *self {
+            Self::Vote { feature, threshold, .. } | Self::Step { feature, threshold, .. } => {
+                Some(Split { node: None, feature, threshold: Some(threshold) })
+            }
+            Self::Line { feature, .. } => Some(Split { node: None, feature, threshold: None }),
+            Self::Tree(_) => None,
+        };
+        let nodes = if let Self::Tree(tree) = self { tree.nodes() } else { &[] };
+        let of_tree = (0..).zip(nodes).filter(|(_, node)| node.is_split()).map(|(k, node)| Split {
+            node: Some(k),
+            feature: node.feature,
+            threshold: Some(node.threshold),
+        });
+        one.into_iter().chain(of_tree)
     }
 
     /// What it adds to the confidence of a pair whose feature differences are `difference`.
     #[inline]
     pub fn value(&self, difference: &[f64]) -> f64 {
-        self.value_of_feature(difference[self.feature()])
+        self.value_of(|feature| difference[feature])
     }
 
-    /// What it adds for a value of its feature.
+    /// The same where the differences are asked for one by one.
     #[inline]
-    pub fn value_of_feature(&self, f: f64) -> f64 {
+    pub fn value_of(&self, difference: impl Fn(usize) -> f64) -> f64 {
         match *self {
-            Self::Vote { threshold, polarity, alpha, .. } => {
+            Self::Vote { feature, threshold, polarity, alpha } => {
+                let f = difference(feature);
                 if polarity * f < polarity * threshold { alpha } else { -alpha }
             }
-            Self::Line { slope, intercept, .. } => slope * f + intercept,
-            Self::Step { threshold, below, above, .. } => {
-                if f < threshold {
+            Self::Line { feature, slope, intercept } => slope * difference(feature) + intercept,
+            Self::Step { feature, threshold, below, above } => {
+                if difference(feature) < threshold {
                     below
                 } else {
                     above
                 }
             }
+            Self::Tree(ref tree) => tree.value_of(difference),
         }
     }
 }

@@ -9,8 +9,8 @@ use semver::Version;
 use serde::{Deserialize, Serialize};
 
 use crate::{
-    Classifier, FORMAT_VERSION, FeatureSpec, Learner, Measured, Model, OperatingPoint, ScanSpec,
-    Training, WeakLearner, card,
+    Classifier, FORMAT_VERSION, FeatureSpec, Learner, MAX_DEPTH, Measured, Model, Node,
+    OperatingPoint, ScanSpec, Training, Tree, WeakLearner, card,
 };
 
 /// A file larger than this is no model of ours; 50 rounds take about 10 kB.
@@ -119,6 +119,17 @@ enum Round {
     Vote { feature: String, threshold: f64, polarity: f64, alpha: f64 },
     Line { feature: String, slope: f64, intercept: f64 },
     Step { feature: String, threshold: f64, below: f64, above: f64 },
+    Tree { nodes: Vec<Option<TreeNode>>, leaves: Vec<f64> },
+}
+
+/// Left where F < threshold, else right. Nodes stand level by level, the children of k at 2 k + 1
+/// and 2 k + 2, leaves from left to right; null is a node that sends all left.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+struct TreeNode {
+    feature: String,
+    threshold: f64,
 }
 
 /// A model version on disk.
@@ -147,8 +158,9 @@ pub fn save(models: &Path, model: &Model) -> Result<Saved, ModelError> {
     let folder = models.join(&model.name);
     let invalid = |what| ModelError::Invalid { path: folder.clone(), what };
     let n_features = model.features.names.len();
-    if let Some(weak) = model.classifier.rounds.iter().find(|weak| n_features <= weak.feature()) {
-        let what = format!("a round looks at feature {}, there are {n_features}", weak.feature());
+    let mut splits = model.classifier.rounds.iter().flat_map(WeakLearner::splits);
+    if let Some(split) = splits.find(|split| n_features <= split.feature) {
+        let what = format!("a round looks at feature {}, there are {n_features}", split.feature);
         return Err(invalid(what));
     }
     check(&to_file(model)).map_err(invalid)?;
@@ -279,6 +291,14 @@ fn to_file(model: &Model) -> ModelFile {
             WeakLearner::Step { feature, threshold, below, above } => {
                 Round::Step { feature: name(feature), threshold, below, above }
             }
+            WeakLearner::Tree(ref tree) => {
+                let node = |node: &Node| {
+                    let Node { feature, threshold } = *node;
+                    node.is_split().then(|| TreeNode { feature: name(feature), threshold })
+                };
+                let nodes = tree.nodes().iter().map(node).collect();
+                Round::Tree { nodes, leaves: tree.leaves().to_vec() }
+            }
         })
         .collect();
     let mut file = ModelFile {
@@ -308,18 +328,25 @@ fn from_file(file: ModelFile) -> Model {
     let rounds = file
         .rounds
         .iter()
-        .map(|round| {
-            let feature = index[round.feature()];
-            match *round {
-                Round::Vote { threshold, polarity, alpha, .. } => {
-                    WeakLearner::Vote { feature, threshold, polarity, alpha }
-                }
-                Round::Line { slope, intercept, .. } => {
-                    WeakLearner::Line { feature, slope, intercept }
-                }
-                Round::Step { threshold, below, above, .. } => {
-                    WeakLearner::Step { feature, threshold, below, above }
-                }
+        .map(|round| match *round {
+            Round::Vote { ref feature, threshold, polarity, alpha } => {
+                WeakLearner::Vote { feature: index[&**feature], threshold, polarity, alpha }
+            }
+            Round::Line { ref feature, slope, intercept } => {
+                WeakLearner::Line { feature: index[&**feature], slope, intercept }
+            }
+            Round::Step { ref feature, threshold, below, above } => {
+                WeakLearner::Step { feature: index[&**feature], threshold, below, above }
+            }
+            Round::Tree { ref nodes, ref leaves } => {
+                let node = |node: &Option<TreeNode>| match node {
+                    Some(TreeNode { feature, threshold }) => {
+                        Node { feature: index[&**feature], threshold: *threshold }
+                    }
+                    None => Node::PASS,
+                };
+                let nodes: Vec<Node> = nodes.iter().map(node).collect();
+                WeakLearner::Tree(Tree::new(&nodes, leaves).expect("the file has been checked"))
             }
         })
         .collect();
@@ -339,11 +366,14 @@ fn from_file(file: ModelFile) -> Model {
 }
 
 impl Round {
-    fn feature(&self) -> &str {
+    fn features(&self) -> Vec<&str> {
         match self {
             Self::Vote { feature, .. }
             | Self::Line { feature, .. }
-            | Self::Step { feature, .. } => feature,
+            | Self::Step { feature, .. } => vec![feature],
+            Self::Tree { nodes, .. } => {
+                nodes.iter().flatten().map(|node| node.feature.as_str()).collect()
+            }
         }
     }
 
@@ -352,20 +382,32 @@ impl Round {
             Self::Vote { .. } => "vote",
             Self::Line { .. } => "line",
             Self::Step { .. } => "step",
+            Self::Tree { .. } => "tree",
         }
     }
 
     /// Its numbers, by name.
-    fn numbers(&self) -> [(&'static str, f64); 3] {
+    fn numbers(&self) -> Vec<(String, f64)> {
+        let named = |values: &[(&str, f64)]| {
+            values.iter().map(|&(name, value)| (name.to_owned(), value)).collect()
+        };
         match *self {
             Self::Vote { threshold, polarity, alpha, .. } => {
-                [("threshold", threshold), ("polarity", polarity), ("alpha", alpha)]
+                named(&[("threshold", threshold), ("polarity", polarity), ("alpha", alpha)])
             }
             Self::Line { slope, intercept, .. } => {
-                [("slope", slope), ("intercept", intercept), ("intercept", intercept)]
+                named(&[("slope", slope), ("intercept", intercept)])
             }
             Self::Step { threshold, below, above, .. } => {
-                [("threshold", threshold), ("below", below), ("above", above)]
+                named(&[("threshold", threshold), ("below", below), ("above", above)])
+            }
+            Self::Tree { ref nodes, ref leaves } => {
+                let of_node = |(k, node): (usize, &Option<TreeNode>)| {
+                    Some((format!("nodes[{k}].threshold"), node.as_ref()?.threshold))
+                };
+                let thresholds = nodes.iter().enumerate().filter_map(of_node);
+                let leaves = (0..).zip(leaves).map(|(k, leaf)| (format!("leaves[{k}]"), *leaf));
+                thresholds.chain(leaves).collect()
             }
         }
     }
@@ -394,6 +436,7 @@ fn check(file: &ModelFile) -> Result<(), String> {
         Learner::Discrete => "vote",
         Learner::GentleLine => "line",
         Learner::GentleStump => "step",
+        Learner::LogitTrees => "tree",
     };
     for (k, round) in file.rounds.iter().enumerate() {
         if round.kind() != kind {
@@ -402,9 +445,16 @@ fn check(file: &ModelFile) -> Result<(), String> {
                 "rounds[{k}].kind: `{found}` in a `{learner}` model, expected `{kind}`"
             ));
         }
-        if !names.contains(round.feature()) {
-            let feature = round.feature();
+        if let Some(feature) = round.features().into_iter().find(|name| !names.contains(name)) {
             return Err(format!("rounds[{k}].feature: `{feature}` is not among features.names"));
+        }
+        if let Round::Tree { nodes, leaves } = round
+            && !(1..=MAX_DEPTH).any(|d| leaves.len() == 1 << d && nodes.len() + 1 == leaves.len())
+        {
+            let (n_nodes, n_leaves) = (nodes.len(), leaves.len());
+            return Err(format!(
+                "rounds[{k}]: {n_nodes} nodes and {n_leaves} leaves, expected 2^d - 1 and 2^d, d = 1 to {MAX_DEPTH}"
+            ));
         }
         for (name, value) in round.numbers() {
             check_number(&format!("rounds[{k}].{name}"), value)?;

@@ -2,11 +2,13 @@
 //!
 //! Invariant: no Arrow, no Parquet, no MCAP; this crate also runs on a robot.
 
+mod batch;
 mod card;
 mod classifier;
 mod file;
 #[cfg(feature = "onnx")]
 mod onnx;
+mod tree;
 
 use std::collections::BTreeMap;
 
@@ -14,12 +16,13 @@ use semver::Version;
 use serde::{Deserialize, Serialize};
 
 pub use card::card;
-pub use classifier::{Classifier, Learner, WeakLearner};
+pub use classifier::{Classifier, Learner, Split, WeakLearner};
 #[cfg(feature = "schema")]
 pub use file::schema;
 pub use file::{ModelError, Saved, load, save};
 #[cfg(feature = "onnx")]
 pub use onnx::to_onnx;
+pub use tree::{MAX_DEPTH, Node, Tree};
 
 /// Version of the layout of `model.json`; a file of another version is not read.
 pub const FORMAT_VERSION: u32 = 1;

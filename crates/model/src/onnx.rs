@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! F (n, n_features) f64 ──Gather──► (n, n_rounds) ──Less, Where, or Mul, Add──► ──ReduceSum──► confidence (n,) f64
+//!                         a Gather and a Less for each node of a tree, the Where from its leaves up
 //!                                                                      confidence >= threshold ──► label (n,) i64
 //! ```
 //!
@@ -10,7 +11,7 @@
 
 use prost::Message;
 
-use crate::{Model, WeakLearner};
+use crate::{Model, Tree, WeakLearner};
 
 const IR_VERSION: i64 = 8;
 const OPERATOR_SET: i64 = 17;
@@ -148,11 +149,15 @@ pub fn to_onnx(model: &Model, threshold: f64) -> Vec<u8> {
     let rounds = &model.classifier.rounds;
     let each = |of: fn(&WeakLearner) -> f64| rounds.iter().map(of).collect::<Vec<f64>>();
     let mut graph = Graph::default();
-    let features = rounds.iter().map(|weak| weak.feature() as i64).collect();
-    graph.integers("features", vec![rounds.len() as i64], features);
-    graph.node("Gather", &["F", "features"], "chosen", Some(("axis", 1)));
+    let trees: Vec<&Tree> = rounds.iter().filter_map(tree).collect();
+    if trees.is_empty() {
+        let features = rounds.iter().flat_map(WeakLearner::splits).map(|s| s.feature as i64);
+        graph.integers("features", vec![rounds.len() as i64], features.collect());
+        graph.node("Gather", &["F", "features"], "chosen", Some(("axis", 1)));
+    }
     // A classifier's rounds are of one kind.
     match rounds.first() {
+        Some(WeakLearner::Tree(_)) => graph.trees(&trees),
         Some(WeakLearner::Line { .. }) | None => {
             graph.numbers("slopes", each(|weak| slope(weak).0));
             graph.numbers("intercepts", each(|weak| slope(weak).1));
@@ -231,7 +236,14 @@ fn step(weak: &WeakLearner) -> (f64, f64, f64, f64) {
             (polarity, threshold, alpha, -alpha)
         }
         WeakLearner::Step { threshold, below, above, .. } => (1.0, threshold, below, above),
-        WeakLearner::Line { .. } => (1.0, 0.0, 0.0, 0.0),
+        WeakLearner::Line { .. } | WeakLearner::Tree(_) => (1.0, 0.0, 0.0, 0.0),
+    }
+}
+
+fn tree(weak: &WeakLearner) -> Option<&Tree> {
+    match weak {
+        WeakLearner::Tree(tree) => Some(tree),
+        _ => None,
     }
 }
 
@@ -242,6 +254,37 @@ struct Graph {
 }
 
 impl Graph {
+    /// `values`, `(n, n_rounds)`: of each tree the leaf, all trees of one depth. Node k is computed
+    /// for all trees at once, `Where` its feature is below its threshold the left child, else the
+    /// right one.
+    fn trees(&mut self, trees: &[&Tree]) {
+        let depth = trees.iter().map(|tree| tree.depth()).max().unwrap_or(1);
+        let n_nodes = (1 << depth) - 1;
+        let deep: Vec<Tree> = trees.iter().map(|tree| tree.deepened(depth)).collect();
+        for leaf in 0..=n_nodes {
+            let values = deep.iter().map(|tree| tree.leaves()[leaf]).collect();
+            self.numbers(&format!("value_{}", n_nodes + leaf), values);
+        }
+        for k in (0..n_nodes).rev() {
+            let node = |tree: &Tree| tree.nodes()[k];
+            let [feature, threshold, chosen, below, left, right] = [
+                format!("feature_{k}"),
+                format!("threshold_{k}"),
+                format!("chosen_{k}"),
+                format!("below_{k}"),
+                format!("value_{}", 2 * k + 1),
+                format!("value_{}", 2 * k + 2),
+            ];
+            let features = deep.iter().map(|tree| node(tree).feature as i64).collect();
+            self.integers(&feature, vec![deep.len() as i64], features);
+            self.numbers(&threshold, deep.iter().map(|tree| node(tree).threshold).collect());
+            self.node("Gather", &["F", &feature], &chosen, Some(("axis", 1)));
+            self.node("Less", &[&chosen, &threshold], &below, None);
+            let value = if k == 0 { "values".to_owned() } else { format!("value_{k}") };
+            self.node("Where", &[&below, &left, &right], &value, None);
+        }
+    }
+
     fn node(&mut self, op: &str, inputs: &[&str], output: &str, attribute: Option<(&str, i64)>) {
         self.nodes.push(NodeProto {
             input: inputs.iter().map(|&name| name.to_owned()).collect(),

@@ -9,7 +9,8 @@ use common::{is_same, model};
 use model::{Learner, Model, ModelError, ScanSpec, WeakLearner, load, save};
 use serde_json::{Value, json};
 
-const LEARNERS: [Learner; 3] = [Learner::Discrete, Learner::GentleLine, Learner::GentleStump];
+const LEARNERS: [Learner; 4] =
+    [Learner::Discrete, Learner::GentleLine, Learner::GentleStump, Learner::LogitTrees];
 
 /// The text of a saved model.
 fn json_of(learner: Learner) -> String {
@@ -283,7 +284,22 @@ fn values_that_cannot_be_are_named() {
             check_invalid(learner, &of(learner), &of(other), &words);
         }
     }
-    check_refused(Discrete, |f| f["rounds"][0]["kind"] = json!("tree"), "variant `tree`");
+    check_refused(Discrete, |f| f["rounds"][0]["kind"] = json!("bush"), "variant `bush`");
+    let check_tree = |edit: fn(&mut Value), words: &str| {
+        check_refused(Learner::LogitTrees, |f| edit(&mut f["rounds"]), words);
+    };
+    let words = "rounds[0].feature: `colour` is not among features.names";
+    check_tree(|r| r[0]["nodes"][2]["feature"] = json!("colour"), words);
+    let words = "rounds[0]: 3 nodes and 3 leaves, expected 2^d - 1 and 2^d, d = 1 to 3";
+    check_tree(|r| r[0]["leaves"] = json!([1.0, 2.0, 3.0]), words);
+    check_tree(|r| r[1]["nodes"] = json!([null, null]), "rounds[1]: 2 nodes and 2 leaves");
+    let words = "rounds[1]: 0 nodes and 1 leaves";
+    check_tree(|r| r[1] = json!({"kind": "tree", "nodes": [], "leaves": [1.0]}), words);
+    let deep = |r: &mut Value| {
+        r[1] = json!({"kind": "tree", "nodes": vec![(); 15], "leaves": vec![1.0; 16]});
+    };
+    check_tree(deep, "rounds[1]: 15 nodes and 16 leaves");
+    check_tree(|r| r[0]["nodes"][0]["colour"] = json!(1), "unknown field `colour`");
     check_refused(Discrete, |f| f["learner"] = json!("forest"), "variant `forest`");
 }
 

@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use common::{is_same, model};
 use model::{
-    FeatureSpec, Learner, Measured, Model, ModelError, Saved, ScanSpec, WeakLearner, card, load,
-    save,
+    FeatureSpec, Learner, Measured, Model, ModelError, Node, Saved, ScanSpec, Tree, WeakLearner,
+    card, load, save,
 };
 use semver::Version;
 
@@ -198,6 +198,8 @@ fn numbers(model: &mut Model) -> Vec<(&'static str, &mut f64)> {
             ("rounds[0].below", below),
             ("rounds[0].above", above),
         ],
+        // A tree lends its numbers to nobody; `a_tree_with_a_number_that_cannot_be_is_not_saved`.
+        WeakLearner::Tree(_) => Vec::new(),
     });
     numbers
 }
@@ -228,6 +230,26 @@ fn a_model_with_a_number_that_cannot_be_is_not_saved() {
         let words = format!("deg: {value}, expected a finite number");
         check_refused(|m| m.scans.coverage_min_deg = value, &words);
         check_refused(|m| m.scans.coverage_max_deg = value, &words);
+    }
+}
+
+#[test]
+fn a_tree_with_a_number_that_cannot_be_is_not_saved() {
+    let with = |threshold: f64, leaf: f64| {
+        let node = Node { feature: 1, threshold };
+        move |m: &mut Model| {
+            *m = model(Learner::LogitTrees);
+            let tree = Tree::new(&[node], &[0.5, leaf]).unwrap();
+            m.classifier.rounds[0] = WeakLearner::Tree(tree);
+        }
+    };
+    for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let words = format!("rounds[0].leaves[1]: {value}, expected a finite number");
+        check_refused(with(1.0, value), &words);
+    }
+    for value in [f64::NAN, f64::NEG_INFINITY] {
+        let words = format!("rounds[0].nodes[0].threshold: {value}, expected a finite number");
+        check_refused(with(value, 0.5), &words);
     }
 }
 

@@ -29,43 +29,122 @@ struct Stump {
 }
 
 pub(crate) fn fit(n_rounds: u32, data: &Matrix) -> Vec<Round> {
-    let sorted = data.sorted_rows();
     let start = |label| 1.0 / (2.0 * data.count(label) as f64);
     let (positive, negative) = (start(Label::Positive), start(Label::Negative));
     let mut weights: Vec<f64> = data
         .labels()
         .iter()
-        .map(|label| if *label == Label::Positive { positive } else { negative })
+        .map(|label| if *label == Label::Positive { positive } else { -negative })
         .collect();
+    let sorted = data.sorted_rows();
+    let mut features: Vec<Feature> =
+        sorted.par_iter().zip(data.columns()).map(|(r, c)| Feature::new(r, c, &weights)).collect();
+    drop(sorted);
+    let mut right = vec![0u64; data.n_rows().div_ceil(64)];
+    let mut beta = 1.0;
     let mut rounds = Vec::new();
     for _ in 0..n_rounds {
-        let sum: f64 = weights.iter().sum();
+        let sum: f64 = weights.iter().map(|w| w.abs()).sum();
         weights.iter_mut().for_each(|w| *w /= sum);
-        let stumps: Vec<Option<Stump>> = sorted
-            .par_iter()
-            .enumerate()
-            .map(|(feature, rows)| best_stump(data.column(feature), rows, data.labels(), &weights))
+        let all = |is_positive: bool| -> f64 {
+            weights.iter().filter(|w| w.is_sign_positive() == is_positive).map(|w| w.abs()).sum()
+        };
+        let totals = (all(true), all(false));
+        let stumps: Vec<Option<Stump>> = features
+            .par_iter_mut()
+            .zip(data.columns())
+            .map(|(feature, column)| {
+                feature.reweigh(&right, beta, sum);
+                feature.best_stump(column, totals)
+            })
             .collect();
         let Some((feature, stump)) = best(&stumps) else { break };
         if 0.5 <= stump.error {
             break;
         }
         let error = stump.error.max(MIN_ERROR);
-        let beta = error / (1.0 - error);
+        beta = error / (1.0 - error);
         let weak = WeakLearner::Vote {
             feature,
             threshold: stump.threshold,
             polarity: stump.polarity,
             alpha: libm::log(1.0 / beta),
         };
-        for ((w, &x), label) in weights.iter_mut().zip(data.column(feature)).zip(data.labels()) {
-            if Label::from_confidence(weak.value_of_feature(x), 0.0) == *label {
+        right.fill(0);
+        let rows = weights.iter_mut().zip(data.column(feature)).zip(data.labels());
+        for (row, ((w, &x), label)) in rows.enumerate() {
+            if Label::from_confidence(weak.value_of(|_| x), 0.0) == *label {
                 *w *= beta;
+                right[row / 64] |= 1 << (row % 64);
             }
         }
         rounds.push(Round { weak, weighted_error: stump.error });
     }
     rounds
+}
+
+/// A feature's pairs in ascending order of its values, with weights of their own in that order: a
+/// search runs through memory, and what it has to look up by pair is one bit.
+struct Feature {
+    /// Row of each pair; [`LAST`] is set where the next value is another.
+    rows: Vec<u32>,
+    /// Weight of each pair, negative for negative pairs; the same bits as by row.
+    weights: Vec<f64>,
+}
+
+/// Marks the last of equal values.
+const LAST: u32 = 1 << 31;
+
+impl Feature {
+    fn new(sorted: &[u32], column: &[f64], weights: &[f64]) -> Self {
+        assert!(sorted.len() < LAST as usize, "more pairs than a row number holds");
+        let mut rows = sorted.to_vec();
+        for (k, pair) in sorted.windows(2).enumerate() {
+            if !column[pair[0] as usize].total_cmp(&column[pair[1] as usize]).is_eq() {
+                rows[k] |= LAST;
+            }
+        }
+        Self { rows, weights: sorted.iter().map(|&row| weights[row as usize]).collect() }
+    }
+
+    /// What is done to the weights by row, in the same steps: times beta where the last stump was
+    /// right, then divided by the sum.
+    fn reweigh(&mut self, right: &[u64], beta: f64, sum: f64) {
+        let factors = [1.0, beta];
+        for (w, row) in self.weights.iter_mut().zip(&self.rows) {
+            let row = row & !LAST;
+            let is_right = right[row as usize / 64] >> (row % 64) & 1;
+            *w = *w * factors[is_right as usize] / sum;
+        }
+    }
+
+    /// Tries every midpoint between neighbouring values; of equal errors the lowest threshold
+    /// stays, and of the two polarities +1. None where all values are equal.
+    ///
+    /// With S the sum of signed weights below a threshold, "positive below" is wrong for negatives
+    /// below and positives above, all positives - S; "positive above" for all negatives + S.
+    fn best_stump(&self, column: &[f64], totals: (f64, f64)) -> Option<Stump> {
+        let (all_positive, all_negative) = totals;
+        let mut sum_below = 0.0;
+        let mut best: Option<Stump> = None;
+        let mut to_beat = f64::INFINITY;
+        for (k, (&w, &row)) in self.weights.iter().zip(&self.rows).enumerate() {
+            sum_below += w;
+            let (below, above) = (all_positive - sum_below, all_negative + sum_below);
+            if row & LAST == 0 || to_beat <= below.min(above) {
+                continue;
+            }
+            let (error, polarity) = if above < below - TIE { (above, -1.0) } else { (below, 1.0) };
+            let value = |row: u32| column[(row & !LAST) as usize];
+            if error < to_beat
+                && let Some(threshold) = midpoint(value(row), value(self.rows[k + 1]))
+            {
+                to_beat = error - TIE;
+                best = Some(Stump { error: error.max(0.0), threshold, polarity });
+            }
+        }
+        best
+    }
 }
 
 /// The stump of the least error; of equal ones the first feature's.
@@ -76,37 +155,6 @@ fn best(stumps: &[Option<Stump>]) -> Option<(usize, Stump)> {
             && best.is_none_or(|(_, best)| stump.error < best.error - TIE)
         {
             best = Some((feature, *stump));
-        }
-    }
-    best
-}
-
-/// Tries every midpoint between neighbouring values; of equal errors the lowest threshold stays,
-/// and of the two polarities +1. None where all values are equal.
-fn best_stump(column: &[f64], rows: &[u32], labels: &[Label], weights: &[f64]) -> Option<Stump> {
-    let weight_of = |wanted: Label| {
-        labels.iter().zip(weights).filter(|(l, _)| **l == wanted).map(|(_, w)| w).sum::<f64>()
-    };
-    let (all_positive, all_negative) = (weight_of(Label::Positive), weight_of(Label::Negative));
-    let (mut positive_below, mut negative_below) = (0.0, 0.0);
-    let mut best: Option<Stump> = None;
-    for pair in rows.windows(2) {
-        let (row, next) = (pair[0] as usize, pair[1] as usize);
-        match labels[row] {
-            Label::Positive => positive_below += weights[row],
-            Label::Negative => negative_below += weights[row],
-        }
-        if column[row].total_cmp(&column[next]).is_eq() {
-            continue;
-        }
-        // Polarity +1 says "positive below": wrong are negatives below and positives above.
-        let below = negative_below + (all_positive - positive_below);
-        let above = positive_below + (all_negative - negative_below);
-        let (error, polarity) = if above < below - TIE { (above, -1.0) } else { (below, 1.0) };
-        if best.is_none_or(|best| error < best.error - TIE)
-            && let Some(threshold) = midpoint(column[row], column[next])
-        {
-            best = Some(Stump { error: error.max(0.0), threshold, polarity });
         }
     }
     best

@@ -62,9 +62,8 @@ pub(crate) fn fit<W: WeakFit>(n_rounds: u32, data: &Matrix) -> Vec<Round> {
                 best = *fit;
             }
         }
-        let column = data.column(best.weak.feature());
-        for ((margin, y), &x) in margins.iter_mut().zip(&y).zip(column) {
-            *margin += y * best.weak.value_of_feature(x);
+        for (row, (margin, y)) in margins.iter_mut().zip(&y).enumerate() {
+            *margin += y * best.weak.value_of(|feature| data.column(feature)[row]);
         }
         // The weighted sum of squares of y = +-1 about 0 is 1.
         rounds.push(Round { weak: best.weak, weighted_error: (1.0 - best.explained).max(0.0) });

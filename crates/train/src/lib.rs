@@ -11,6 +11,7 @@ mod gentle;
 mod gentle_line;
 mod gentle_stump;
 mod knn;
+mod logit_trees;
 mod matrix;
 mod svm;
 
@@ -29,6 +30,8 @@ pub struct Options {
     pub learners: Vec<Learner>,
     /// Boosting rounds T.
     pub rounds: u32,
+    /// Boosting rounds of `logit_trees`, whose steps are short.
+    pub tree_rounds: u32,
 }
 
 impl Default for Options {
@@ -36,7 +39,15 @@ impl Default for Options {
         Self {
             learners: vec![Learner::Discrete, Learner::GentleLine, Learner::GentleStump],
             rounds: 50,
+            tree_rounds: 200,
         }
+    }
+}
+
+impl Options {
+    /// Boosting rounds of a learner.
+    pub fn rounds_of(&self, learner: Learner) -> u32 {
+        if learner == Learner::LogitTrees { self.tree_rounds } else { self.rounds }
     }
 }
 
@@ -51,6 +62,8 @@ pub enum Learner {
     GentleLine,
     /// Gentle AdaBoost over regression stumps (Friedman, Hastie and Tibshirani 2000).
     GentleStump,
+    /// LogitBoost over small regression trees (Friedman, Hastie and Tibshirani 2000, Algorithm 3).
+    LogitTrees,
     /// Baseline: 5 nearest neighbours. Evaluated, not saved.
     Knn,
     /// Baseline: a linear support vector machine. Evaluated, not saved.
@@ -73,6 +86,7 @@ impl Learner {
             Self::Discrete => Some(model::Learner::Discrete),
             Self::GentleLine => Some(model::Learner::GentleLine),
             Self::GentleStump => Some(model::Learner::GentleStump),
+            Self::LogitTrees => Some(model::Learner::LogitTrees),
             Self::Knn | Self::Svm => None,
         }
     }
@@ -108,7 +122,7 @@ pub enum TrainError {
         value: f64,
     },
     /// No round asked for.
-    #[error("`train.rounds` is 0, expected 1 or more")]
+    #[error("`train.rounds` or `train.tree_rounds` is 0, expected 1 or more")]
     NoRounds,
 }
 
@@ -118,7 +132,8 @@ pub struct Round {
     /// The weak learner chosen.
     pub weak: WeakLearner,
     /// Its error under the round's weights: for `discrete` the weighted share of wrong labels,
-    /// for the gentle learners the weighted mean of the squared residuals.
+    /// for the gentle learners the weighted mean of the squared residuals, for `logit_trees` the
+    /// same as a share of the squares that there were.
     pub weighted_error: f64,
 }
 
@@ -137,6 +152,7 @@ pub fn fit(
         model::Learner::Discrete => discrete::fit(n_rounds, data),
         model::Learner::GentleLine => gentle::fit::<gentle_line::Line>(n_rounds, data),
         model::Learner::GentleStump => gentle::fit::<gentle_stump::Stump>(n_rounds, data),
+        model::Learner::LogitTrees => logit_trees::fit(n_rounds, data),
     };
     if rounds.is_empty() {
         return Err(TrainError::NothingToLearn { n_pairs: data.n_rows() });

@@ -74,9 +74,10 @@ impl Matrix {
         self.columns
             .iter()
             .map(|column| {
-                let mut rows: Vec<u32> = (0..column.len() as u32).collect();
-                rows.sort_by(|&a, &b| column[a as usize].total_cmp(&column[b as usize]));
-                rows
+                // Values beside their rows, so that a comparison does not look them up.
+                let mut rows: Vec<(f64, u32)> = column.iter().copied().zip(0..).collect();
+                rows.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+                rows.into_iter().map(|(_, row)| row).collect()
             })
             .collect()
     }

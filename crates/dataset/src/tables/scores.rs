@@ -133,6 +133,7 @@ pub fn write_rounds(path: &Path, provenance: &Provenance, rounds: &[BoostingRoun
         ("fold", fold(0)),
         ("other_fold", fold(1)),
         ("round", Arc::new(UInt32Array::from_iter_values(rounds.iter().map(|r| r.round)))),
+        ("node", Arc::new(rounds.iter().map(|r| r.node).collect::<UInt32Array>())),
         ("feature", strings(rounds.iter().map(|r| &*r.feature))),
         ("threshold", Arc::new(rounds.iter().map(|r| r.threshold).collect::<Float64Array>())),
         (
@@ -144,7 +145,7 @@ pub fn write_rounds(path: &Path, provenance: &Provenance, rounds: &[BoostingRoun
         path,
         "rounds",
         provenance,
-        &batch(columns, &["grouping", "fold", "other_fold", "threshold"]),
+        &batch(columns, &["grouping", "fold", "other_fold", "node", "threshold"]),
     )
 }
 
@@ -157,6 +158,7 @@ pub fn read_rounds(path: &Path) -> Result<(Vec<BoostingRound>, Provenance)> {
     let folds = columns.nullable_numbers::<UInt32Type>("fold")?;
     let others = columns.nullable_numbers::<UInt32Type>("other_fold")?;
     let rounds = columns.numbers::<UInt32Type>("round")?;
+    let nodes = columns.nullable_numbers::<UInt32Type>("node")?;
     let features = columns.strings("feature")?;
     let thresholds = columns.nullable_numbers::<Float64Type>("threshold")?;
     let errors = columns.numbers::<Float64Type>("weighted_error")?;
@@ -168,6 +170,7 @@ pub fn read_rounds(path: &Path) -> Result<(Vec<BoostingRound>, Provenance)> {
                 folds: [folds.value(row), others.value(row)],
             }),
             round: rounds.value(row),
+            node: nodes.is_valid(row).then(|| nodes.value(row)),
             feature: features.value(row).to_owned(),
             threshold: thresholds.is_valid(row).then(|| thresholds.value(row)),
             weighted_error: errors.value(row),

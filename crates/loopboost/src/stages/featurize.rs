@@ -2,7 +2,7 @@ use anyhow::{Context, Result, anyhow};
 use dataset::tables::scans::read_scans;
 use dataset::tables::{FeatureTable, Provenance, read_keyframes, write_features};
 use dataset::{Dropped, Keyframe};
-use featurize::Paper16;
+use featurize::Featurizer;
 use rayon::prelude::*;
 
 use crate::run::{Done, Run, Task};
@@ -36,7 +36,13 @@ fn featurize(run: &Run, provenance: &Provenance) -> Result<Done> {
         read_scans(&path, &scans, |batch| {
             let features = batch
                 .par_iter()
-                .map_init(|| Paper16::new(options.gate_m), Paper16::features)
+                .map_init(
+                    || Featurizer::new(options),
+                    |featurizer, scan| {
+                        let mut features = vec![0.0; names.len()];
+                        featurizer.features(scan, &mut features).map(|()| features)
+                    },
+                )
                 .collect::<Vec<_>>()
                 .into_iter()
                 .collect::<Result<Vec<_>, _>>()

@@ -117,7 +117,9 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
         let error = model.measured.first().map_or(f64::NAN, |m| m.error * 100.0);
         done.said.push(format!(
             "{} {}: error {error:.1} % at T = {}",
-            model.name, folder.version, options.train.rounds
+            model.name,
+            folder.version,
+            options.train.rounds_of(fitted.learner)
         ));
         done.outputs.extend(folder.files);
     }
@@ -140,7 +142,7 @@ struct Fitted {
 
 fn fit(options: &Options<'_>, learner: Learner, data: &Matrix) -> Result<Fitted> {
     let rounds = match learner.boosting() {
-        Some(boosting) => train::fit(boosting, options.train.rounds, data)?,
+        Some(boosting) => train::fit(boosting, options.train.rounds_of(learner), data)?,
         None => Vec::new(),
     };
     Ok(Fitted { learner, rounds, fits: Vec::new(), scores: Vec::new() })
@@ -156,11 +158,12 @@ fn hold_out(
     fitted: &mut [Fitted],
 ) -> Result<Folds> {
     let folds = label::folds(dealing, keyframes, pairs)?;
-    let n_rounds = options.train.rounds;
     let grouping = dealing.grouping;
+    let n_rounds = |fitted: &Fitted| options.train.rounds_of(fitted.learner);
+    let folded = folded(data, &folds);
     let validated = fitted
         .par_iter()
-        .map(|fitted| train::cross_validate(fitted.learner, n_rounds, &folded(data, &folds)))
+        .map(|fitted| train::cross_validate(fitted.learner, n_rounds(fitted), &folded))
         .collect::<Vec<_>>()
         .into_iter()
         .collect::<Result<Vec<_>, _>>()
@@ -169,7 +172,7 @@ fn hold_out(
         fitted.scores.push(Scores {
             learner: fitted.learner.name().to_owned(),
             grouping: grouping.name().to_owned(),
-            n_rounds: n_rounds as usize,
+            n_rounds: n_rounds(fitted) as usize,
             groups: folds.groups.clone(),
             folds: folds.folds.clone(),
             confidences: validated.confidences,
@@ -188,12 +191,14 @@ impl Fitted {
         let rows = |left_out: Option<LeftOut>, rounds: &[Round]| -> Vec<BoostingRound> {
             (1..)
                 .zip(rounds)
-                .map(|(round, fitted)| BoostingRound {
+                .flat_map(|(round, fitted)| fitted.weak.splits().map(move |s| (round, fitted, s)))
+                .map(|(round, fitted, split)| BoostingRound {
                     learner: self.learner.name().to_owned(),
                     left_out: left_out.clone(),
                     round,
-                    feature: names[fitted.weak.feature()].clone(),
-                    threshold: fitted.weak.threshold(),
+                    node: split.node,
+                    feature: names[split.feature].clone(),
+                    threshold: split.threshold,
                     weighted_error: fitted.weighted_error,
                 })
                 .collect()

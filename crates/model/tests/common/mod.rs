@@ -1,8 +1,8 @@
 //! A model to save, and to compare with.
 
 use model::{
-    Classifier, FeatureSpec, Learner, Measured, Model, OperatingPoint, ScanSpec, Training,
-    WeakLearner,
+    Classifier, FeatureSpec, Learner, Measured, Model, Node, OperatingPoint, ScanSpec, Training,
+    Tree, WeakLearner,
 };
 use semver::Version;
 use serde_json::json;
@@ -16,6 +16,13 @@ fn rounds(learner: Learner) -> Vec<WeakLearner> {
         Learner::GentleLine => vec![WeakLearner::Line { feature: 2, slope: -0.7, intercept: 0.3 }],
         Learner::GentleStump => {
             vec![WeakLearner::Step { feature: 0, threshold: 4.5, below: 0.9, above: -0.6 }]
+        }
+        Learner::LogitTrees => {
+            let split = |feature, threshold| Node { feature, threshold };
+            let nodes = [split(2, 0.75), Node::PASS, split(1, 1e-3)];
+            let deep = Tree::new(&nodes, &[0.5, 0.0, -0.25, -0.125]);
+            let flat = Tree::new(&[split(0, 3.5)], &[0.1, -0.3]);
+            [deep, flat].map(|tree| WeakLearner::Tree(tree.unwrap())).into()
         }
     }
 }

@@ -81,7 +81,7 @@ impl Fits {
         let known = fitted.fits.iter().find(|(g, _)| *g == grouping).map(|(_, fits)| fits);
         let known = known.ok_or_else(|| anyhow!("no fits of grouping `{}`", grouping.name()))?;
         let n_folds = folds.n_folds;
-        let (learner, n_rounds) = (fitted.learner, options.train.rounds);
+        let (learner, n_rounds) = (fitted.learner, options.train.rounds_of(fitted.learner));
         let fits = (0..n_folds)
             .flat_map(|a| (0..n_folds).map(move |b| [a, b]))
             .collect::<Vec<_>>()

@@ -61,8 +61,8 @@ fn errors(
         Err(error) => return Err(error.into()),
     };
     let data = matrix(&pairs, features);
-    let n_rounds = options.train.rounds;
     let errors = grid.learners.par_iter().map(|&learner| {
+        let n_rounds = options.train.rounds_of(learner);
         match train::cross_validate(learner, n_rounds, &folded(&data, &folds)) {
             Ok(validated) => {
                 let n = n_rounds as usize;

@@ -1,0 +1,83 @@
+//! The features of scans of 2000 returns, beside straightforward numpy, on one thread each.
+//!
+//! `cargo bench -p featurize --bench features`
+//!
+//! The peer, run by the Python in `LOOPBOOST_PYTHON`, measures like scans (`tests/peers/features.py`,
+//! which on a run folder checks the values too). Both are run in turn.
+
+use std::path::Path;
+use std::process::Command;
+use std::time::Instant;
+
+use dataset::Scan;
+use featurize::{FeatureSet, Featurizer, Options};
+
+const SCANS: usize = 300;
+const RETURNS: usize = 2000;
+const RUNS: usize = 3;
+
+fn main() {
+    let scans: Vec<Scan> = (0..SCANS).map(room).collect();
+    for set in [FeatureSet::Paper16, FeatureSet::Campus] {
+        let (mut ours, mut peers) = (Vec::new(), Vec::new());
+        for _ in 0..RUNS {
+            ours.push(seconds_a_scan(set, &scans));
+            peers.extend(peer(set));
+        }
+        let median = |seconds: &mut Vec<f64>| {
+            seconds.sort_by(f64::total_cmp);
+            seconds.get(seconds.len() / 2).copied()
+        };
+        let ours = median(&mut ours).expect("runs");
+        println!("{} of {RETURNS} returns, one thread, median of {RUNS}:", set.name());
+        println!("  loopboost {:>9.1} us a scan", ours * 1e6);
+        match median(&mut peers) {
+            Some(peer) => {
+                println!("  numpy     {:>9.1} us a scan, ratio {:.1}", peer * 1e6, peer / ours);
+            }
+            None => println!("  skipped: no Python with numpy (LOOPBOOST_PYTHON)"),
+        }
+    }
+}
+
+fn seconds_a_scan(set: FeatureSet, scans: &[Scan]) -> f64 {
+    let mut featurizer = Featurizer::new(&Options { set, ..Options::default() });
+    let mut features = vec![0.0; set.feature_names().len()];
+    let start = Instant::now();
+    for scan in scans {
+        featurizer.features(scan, &mut features).expect("usable");
+        assert!(features.iter().all(|f| f.is_finite()));
+    }
+    start.elapsed().as_secs_f64() / scans.len() as f64
+}
+
+fn peer(set: FeatureSet) -> Option<f64> {
+    let python = std::env::var("LOOPBOOST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let output = Command::new(python)
+        .arg(root.join("tests/peers/features.py"))
+        .args(["--time", set.name(), &SCANS.to_string(), &RETURNS.to_string()])
+        .env("OMP_NUM_THREADS", "1")
+        .output()
+        .ok()?;
+    String::from_utf8_lossy(&output.stdout).trim().parse().ok()
+}
+
+/// A room of four walls, turned and moved, with ripples of 2 cm.
+fn room(k: usize) -> Scan {
+    let turn = k as f64 * 0.7;
+    let walls: [f64; 4] = std::array::from_fn(|wall| 1.0 + ((k * 7 + wall * 5) % 19) as f64);
+    let mut scan = Scan { coverage_deg: 360.0, ..Scan::default() };
+    for i in 0..RETURNS {
+        let azimuth = i as f64 / RETURNS as f64 * std::f64::consts::TAU;
+        let to_wall = |(wall, distance): (usize, &f64)| {
+            let cos = (azimuth - turn - wall as f64 * std::f64::consts::FRAC_PI_2).cos();
+            if 1e-3 < cos { distance / cos } else { 60.0 }
+        };
+        let r = walls.iter().enumerate().map(to_wall).fold(60.0, f64::min);
+        let r = r + 0.02 * ((i * i) as f64 * 0.37).sin();
+        scan.x_m.push((r * azimuth.cos()) as f32);
+        scan.y_m.push((r * azimuth.sin()) as f32);
+    }
+    scan
+}

@@ -1,0 +1,248 @@
+//! The feature set `campus` v1: what a place looks like from within a metre or two, whoever walks
+//! by, however fast the scanner turns and whichever way it looks. docs/features.md gives each
+//! feature its formula, unit, source and reason.
+//!
+//! All features are of the range signature, the mean logarithm of the range by degree of azimuth,
+//! so that the number of returns hardly counts; whether a wall is near is a share of angle or of
+//! wall. Histograms are soft: a value is dealt to the two centres about it.
+
+mod signature;
+mod walls;
+
+use dataset::{Scan, Unusable};
+
+use signature::Signature;
+use walls::Walls;
+
+/// Number of features.
+const N: usize = 109;
+
+/// Names, in order; the columns of `features.parquet`.
+pub const CAMPUS_NAMES: [&str; N] = [
+    // Share of the angle by range: 13 centres, a factor of sqrt 2 apart.
+    "range_0_7m",
+    "range_1m",
+    "range_1_4m",
+    "range_2m",
+    "range_2_8m",
+    "range_4m",
+    "range_5_7m",
+    "range_8m",
+    "range_11m",
+    "range_16m",
+    "range_23m",
+    "range_32m",
+    "range_45m",
+    // Percentiles of ln of the chord r(a) + r(a + 180 deg).
+    "chord_p0",
+    "chord_p5",
+    "chord_p10",
+    "chord_p25",
+    "chord_p40",
+    "chord_p50",
+    "chord_p60",
+    "chord_p75",
+    "chord_p90",
+    "chord_p95",
+    "chord_p100",
+    // How unlike opposite ranges are.
+    "oddness_mean",
+    "oddness_spread",
+    // Percentiles of ln of r(a) + r(a + 90 deg).
+    "quarter_p0",
+    "quarter_p10",
+    "quarter_p25",
+    "quarter_p50",
+    "quarter_p75",
+    "quarter_p90",
+    "quarter_p100",
+    // ln of the deviation of ranges cut off at a limit.
+    "spread_2m",
+    "spread_4m",
+    "spread_8m",
+    "spread_16m",
+    // Share of the sectors of 5 deg with a return.
+    "seen",
+    // Share of the degrees by step of ln r to the next.
+    "step_0_01",
+    "step_0_03",
+    "step_0_1",
+    "step_0_3",
+    "step_1",
+    "step_3",
+    // ln of 1 + number of gaps in the wall, by width.
+    "gaps_0_6m",
+    "gaps_1m",
+    "gaps_1_6m",
+    "gaps_2_5m",
+    "gaps_4m",
+    "gaps_7m",
+    "gaps_15m",
+    // ln of 1 + metres of wall, by the length of the run between two gaps.
+    "runs_0_2m",
+    "runs_0_5m",
+    "runs_1m",
+    "runs_2m",
+    "runs_4m",
+    "runs_8m",
+    "runs_16m",
+    "runs_32m",
+    // Root of the share of pairs of wall pieces that face each other, by distance; of all.
+    "facing_0_5m",
+    "facing_1m",
+    "facing_1_4m",
+    "facing_1_7m",
+    "facing_2m",
+    "facing_2_3m",
+    "facing_2_6m",
+    "facing_3m",
+    "facing_3_5m",
+    "facing_4_2m",
+    "facing_5m",
+    "facing_6_5m",
+    "facing_8_5m",
+    "facing_11m",
+    "facing_15m",
+    "facing_20m",
+    "facing_30m",
+    "facing",
+    // Share by offset, of pairs of pieces that look the same way.
+    "offset_0m",
+    "offset_0_1m",
+    "offset_0_25m",
+    "offset_0_5m",
+    "offset_0_8m",
+    "offset_1_2m",
+    "offset_1_8m",
+    "offset_2_5m",
+    "offset_4m",
+    "offset_7m",
+    "offset_12m",
+    // Share by distance, of pairs that face each other right across.
+    "across_1m",
+    "across_1_4m",
+    "across_1_7m",
+    "across_2m",
+    "across_2_3m",
+    "across_2_7m",
+    "across_3_2m",
+    "across_4m",
+    "across_5m",
+    "across_7m",
+    "across_10m",
+    "across_15m",
+    // Root of the share of pairs at right angles.
+    "perpendicular",
+    // ln of chords along and across the main direction of the walls, and on its diagonals.
+    "main_longest",
+    "main_median",
+    "cross_longest",
+    "cross_median",
+    "diagonal_shorter",
+    "diagonal_longer",
+    "axis_shorter",
+    "axis_longer",
+];
+
+/// Computes the features of one scan after another, reusing its memory.
+#[derive(Debug, Clone, Default)]
+pub struct Campus {
+    signature: Signature,
+    walls: Walls,
+    scratch: Vec<f64>,
+}
+
+impl Campus {
+    /// One for any number of scans.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// The features of a scan, in the order of [`CAMPUS_NAMES`]; always finite.
+    pub fn features(&mut self, scan: &Scan) -> Result<[f64; N], Unusable> {
+        scan.check_usable()?;
+        self.signature.measure(scan);
+        self.walls.measure(&self.signature);
+        let mut features = [0.0; N];
+        let mut out = Out { rest: &mut features };
+        self.signature.describe(&mut out, &mut self.scratch);
+        self.walls.describe(&self.signature, &mut out);
+        self.walls.describe_chords(&self.signature, &mut out);
+        debug_assert!(out.rest.is_empty());
+        Ok(features)
+    }
+}
+
+/// Features not yet written.
+struct Out<'a> {
+    rest: &'a mut [f64],
+}
+
+impl Out<'_> {
+    fn push(&mut self, values: &[f64]) {
+        let rest = std::mem::take(&mut self.rest);
+        let (now, rest) = rest.split_at_mut(values.len());
+        now.copy_from_slice(values);
+        self.rest = rest;
+    }
+}
+
+/// Deals a weight to the two centres about a value, linearly; beyond the ends, to the end.
+#[inline]
+fn deal<const N: usize>(histogram: &mut [f64; N], centres: &[f64; N], value: f64, weight: f64) {
+    if value <= centres[0] {
+        histogram[0] += weight;
+    } else if centres[N - 1] <= value {
+        histogram[N - 1] += weight;
+    } else {
+        let mut k = 0;
+        while centres[k + 1] <= value {
+            k += 1;
+        }
+        let share = (value - centres[k]) / (centres[k + 1] - centres[k]);
+        histogram[k] += weight * (1.0 - share);
+        histogram[k + 1] += weight * share;
+    }
+}
+
+/// Divides by the sum, where that is more than rounding.
+fn shares<const N: usize>(histogram: [f64; N], unit: f64) -> [f64; N] {
+    let sum = (histogram.iter().sum::<f64>() / unit).max(1e-9) * unit;
+    histogram.map(|h| h / sum)
+}
+
+/// Percentiles \[%\] of sorted values, linear between neighbours.
+fn percentiles<const N: usize>(sorted: &[f64], percents: &[f64; N]) -> [f64; N] {
+    percents.map(|percent| {
+        let place = (sorted.len() - 1) as f64 * percent / 100.0;
+        let k = (place as usize).min(sorted.len() - 1);
+        let next = (k + 1).min(sorted.len() - 1);
+        sorted[k] + (sorted[next] - sorted[k]) * (place - k as f64)
+    })
+}
+
+/// The natural logarithms of centres.
+fn ln_all<const N: usize>(values: [f64; N]) -> [f64; N] {
+    values.map(libm::log)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 3 lies half way between 2 and 4, 0 and 9 beyond the ends.
+    #[test]
+    fn a_value_is_dealt_to_the_centres_about_it() {
+        let mut histogram = [0.0; 3];
+        for (value, weight) in [(3.0, 1.0), (0.0, 2.0), (9.0, 4.0), (2.0, 8.0), (1.75, 16.0)] {
+            deal(&mut histogram, &[1.0, 2.0, 4.0], value, weight);
+        }
+        assert_eq!(histogram, [2.0 + 4.0, 0.5 + 8.0 + 12.0, 0.5 + 4.0]);
+    }
+
+    #[test]
+    fn percentiles_lie_between_neighbours() {
+        assert_eq!(percentiles(&[1.0, 2.0, 4.0], &[0.0, 25.0, 75.0, 100.0]), [1.0, 1.5, 3.0, 4.0]);
+        assert_eq!(percentiles(&[7.0], &[0.0, 50.0, 100.0]), [7.0; 3]);
+    }
+}
