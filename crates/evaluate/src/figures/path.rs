@@ -36,7 +36,7 @@ const STYLE: &str = "
 /// The path of one log as an SVG file: its poses, where they lie in 95 of 100 cases, and the scans
 /// kept.
 pub fn path_svg(log: &str, poses: &[StampedPose], kept: &[Keyframe]) -> String {
-    svg(log, poses, kept).into_string()
+    svg(log, poses, kept, Some("http://www.w3.org/2000/svg")).into_string()
 }
 
 /// The paths of the logs by their keyframes, a figure each.
@@ -47,7 +47,7 @@ pub(crate) fn paths(keyframes: &[Keyframe]) -> Markup {
                 @let poses: Vec<StampedPose> = of_log.iter().map(stamped).collect();
                 @let log = &*of_log[0].id.log;
                 figure class="map" {
-                    (svg(log, &poses, of_log))
+                    (svg(log, &poses, of_log, None))
                     figcaption { b { (log) } ": " (caption(&poses, of_log)) }
                 }
             }
@@ -143,7 +143,8 @@ impl View {
     }
 }
 
-fn svg(log: &str, poses: &[StampedPose], kept: &[Keyframe]) -> Markup {
+/// A file of its own needs the namespace; in a page it would be a link to elsewhere.
+fn svg(log: &str, poses: &[StampedPose], kept: &[Keyframe], namespace: Option<&str>) -> Markup {
     let (Some(first), Some(last)) = (poses.first(), poses.last()) else { return html! {} };
     let view = View::of(poses);
     let dots: String = kept
@@ -155,7 +156,7 @@ fn svg(log: &str, poses: &[StampedPose], kept: &[Keyframe]) -> Markup {
         .collect();
     let ((start_x, start_y), (end_x, end_y)) = (view.at(first), view.at(last));
     html! {
-        svg class="path-figure" xmlns="http://www.w3.org/2000/svg" viewBox={ "0 0 " (SIZE) " " (px(view.height)) } role="img"
+        svg class="path-figure" xmlns=[namespace] viewBox={ "0 0 " (SIZE) " " (px(view.height)) } role="img"
             aria-label={ "Path of log " (log) ": " (caption(poses, kept)) } style="background: var(--wash, #f4f6f8)" {
             style { (PreEscaped(STYLE)) }
             @for (pose, covariance, travel_m) in sure(poses) {
