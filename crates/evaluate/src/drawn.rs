@@ -15,7 +15,7 @@ pub fn figures(input: &Input<'_>, evaluation: &Evaluation, sketches: &Sketches) 
     for grouping in evaluation.groupings() {
         let charts = [
             error_chart(input, evaluation, grouping),
-            precision_recall_chart(evaluation, grouping),
+            precision_recall_chart(input, evaluation, grouping),
         ];
         figures.extend(charts.map(|chart| Figure::new(&chart.id, chart.svg())));
     }
@@ -40,6 +40,12 @@ pub fn figures(input: &Input<'_>, evaluation: &Evaluation, sketches: &Sketches) 
         figures.push(Figure::new(&id, path(&id, of_log)));
     }
     figures
+}
+
+/// The place of a learner among all, which gives it its style.
+fn style_of(input: &Input<'_>, learner: &str) -> usize {
+    let learners = distinct(input.scores.iter().map(|s| &*s.learner));
+    learners.iter().position(|name| *name == learner).unwrap_or(0)
 }
 
 /// The keyframes' poses of each log of a site.
@@ -78,6 +84,7 @@ fn error_chart(input: &Input<'_>, evaluation: &Evaluation, grouping: &str) -> Ch
             };
             Series {
                 name: name_of(learner),
+                style: style_of(input, learner),
                 points: of.iter().map(|r| (r.rounds as f64, r.confusion.error())).collect(),
                 marks: of.iter().skip(every - 1).step_by(every).map(mark).collect(),
             }
@@ -87,7 +94,10 @@ fn error_chart(input: &Input<'_>, evaluation: &Evaluation, grouping: &str) -> Ch
     let is_papers = grouping == "pair" && PAPER_ROUNDS as usize <= n_rounds;
     Chart {
         below: is_papers.then(|| {
-            let text = format!("the paper, T = {PAPER_ROUNDS}");
+            let text = format!(
+                "the paper: under {:.0} % at T = {PAPER_ROUNDS}",
+                PAPER_ERROR_BELOW * 100.0
+            );
             (f64::from(PAPER_ROUNDS), PAPER_ERROR_BELOW, text)
         }),
         id: format!("error-curve-{grouping}"),
@@ -131,7 +141,8 @@ fn precision_axis(min: f64) -> Axis {
 }
 
 /// Points of a curve of (recall, precision), and a mark at each tenth of recall.
-fn curve(name: String, points: Vec<(f64, f64)>) -> Series {
+fn curve(input: &Input<'_>, learner: &str, points: Vec<(f64, f64)>) -> Series {
+    let name = name_of(learner);
     let mut marks = Vec::new();
     for &(recall, precision) in &points {
         if (marks.len() + 1) as f64 / 10.0 <= recall {
@@ -140,10 +151,10 @@ fn curve(name: String, points: Vec<(f64, f64)>) -> Series {
             marks.push((recall, precision, text));
         }
     }
-    Series { name, points, marks }
+    Series { name, style: style_of(input, learner), points, marks }
 }
 
-fn precision_recall_chart(evaluation: &Evaluation, grouping: &str) -> Chart {
+fn precision_recall_chart(input: &Input<'_>, evaluation: &Evaluation, grouping: &str) -> Chart {
     let series = evaluation
         .precision_recall
         .iter()
@@ -151,7 +162,7 @@ fn precision_recall_chart(evaluation: &Evaluation, grouping: &str) -> Chart {
         .map(|c| {
             let point =
                 |p: &crate::PrPoint| (p.confusion.recall(), p.confusion.precision().unwrap_or(1.0));
-            curve(name_of(&c.learner), c.points.iter().map(point).collect())
+            curve(input, &c.learner, c.points.iter().map(point).collect())
         })
         .collect();
     Chart {
@@ -175,7 +186,7 @@ fn retrieval_chart(input: &Input<'_>) -> Option<Chart> {
                 let called = (p.true_positive + p.false_positive) as f64;
                 (p.true_positive as f64 / r.n_positive as f64, p.true_positive as f64 / called)
             };
-            curve(name_of(&r.learner), r.curve.iter().map(point).collect())
+            curve(input, &r.learner, r.curve.iter().map(point).collect())
         })
         .collect();
     (!series.is_empty()).then(|| Chart {

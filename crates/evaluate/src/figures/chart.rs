@@ -17,6 +17,8 @@ pub(crate) struct Axis {
 /// A line of a chart.
 pub(crate) struct Series {
     pub(crate) name: String,
+    /// Its colour and dashes: the same for a learner in all charts.
+    pub(crate) style: usize,
     pub(crate) points: Vec<(f64, f64)>,
     /// Points whose values are shown when the pointer rests on them.
     pub(crate) marks: Vec<(f64, f64, String)>,
@@ -67,8 +69,8 @@ impl Chart {
                     text class="axis-title" x=(px(f64::midpoint(LEFT, right))) y=(bottom + 37.0) text-anchor="middle" { (self.x.title) }
                     text class="axis-title" transform={ "translate(15 " (px(f64::midpoint(TOP, bottom))) ") rotate(-90)" } text-anchor="middle" { (self.y.title) }
                 }
-                @for (k, series) in self.series.iter().enumerate() {
-                    g class={ "series-" (k % N_STYLES) } {
+                @for series in &self.series {
+                    g class={ "series-" (series.style % N_STYLES) } {
                         path class="line" d=(self.path(&series.points)) {}
                         @for (x, y, text) in &series.marks {
                             circle cx=(px(self.at_x(*x))) cy=(px(self.at_y(*y))) r="4" { title { (text) } }
@@ -84,20 +86,20 @@ impl Chart {
                 }
                 g class="legend" {
                     @for (k, series) in self.series.iter().enumerate() {
-                        (self.key(k, &series.name))
+                        (self.key(k, series))
                     }
                 }
             }
         }
     }
 
-    fn key(&self, k: usize, name: &str) -> Markup {
+    fn key(&self, k: usize, series: &Series) -> Markup {
         let x = LEFT + (k % 2) as f64 * (WIDTH - LEFT - RIGHT) / 2.0;
         let y = PLOT_HEIGHT + LEGEND_ROW * (k / 2) as f64 + 8.0;
         html! {
-            g class={ "series-" (k % N_STYLES) } {
+            g class={ "series-" (series.style % N_STYLES) } {
                 path class="line" d={ "M" (px(x)) " " (px(y)) "h26" } {}
-                text x=(px(x + 33.0)) y=(px(y + 4.5)) { (name) }
+                text x=(px(x + 33.0)) y=(px(y + 4.5)) { (series.name) }
             }
         }
     }

@@ -41,9 +41,9 @@ pub(super) fn retrieval(
         for log in &logs {
             let scored =
                 confidences(options, keyframes, features, folds, &fits, log, stride as usize);
-            let name = keyframes[log[0]].id.log.to_string();
+            let name = &keyframes[log[0]].id.log;
             all.extend(&scored);
-            rows.extend(measure(fitted.learner, grouping, Some(name), stride, scored));
+            rows.extend(measure(fitted.learner, grouping, Some(&**name), stride, scored));
         }
         if logs.len() > 1 {
             rows.extend(measure(fitted.learner, grouping, None, stride, all));
@@ -188,7 +188,7 @@ fn confidences(
 fn measure(
     learner: Learner,
     grouping: Grouping,
-    log: Option<String>,
+    log: Option<&str>,
     query_stride: u64,
     scored: Confidences,
 ) -> [Retrieval; 2] {
@@ -200,7 +200,7 @@ fn measure(
         Retrieval {
             learner: learner.name().to_owned(),
             grouping: grouping.name().to_owned(),
-            log: log.clone(),
+            log: log.map(str::to_owned),
             ambiguous_as_negative,
             n_positive: positive.len() as u64,
             n_negative: negative.len() as u64,
