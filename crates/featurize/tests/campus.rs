@@ -71,7 +71,8 @@ fn a_corridor_has_its_width_and_length() {
     assert!((of(&f, "cross_median") - 2.3f64.ln()).abs() < 0.01);
     assert!((sum(&f, "offset_") - 1.0).abs() < 1e-9 && (sum(&f, "across_") - 1.0).abs() < 1e-9);
     let flat = of(&f, "offset_0m") + of(&f, "offset_0_1m");
-    assert!(0.95 < flat, "walls lie on themselves: {flat}");
+    // A piece whose direction is a degree off sees the far end of its wall beside it.
+    assert!(0.75 < flat && flat < 1.0, "walls lie on themselves: {flat}");
 }
 
 /// Four openings in a circle of 4 m, onto one of 6.5 m: eight jumps of 2.5 m, or a little less where
