@@ -41,6 +41,12 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
             "recall": row.confusion.recall(),
         })).collect::<Vec<_>>(),
         "every_pair": input.retrieval.iter().map(retrieval).collect::<Vec<_>>(),
+        "features": input.feature_rows.iter().map(|row| json!({
+            "feature": row.name,
+            "auc": row.auc,
+            "stability": row.stability,
+            "chosen": row.chosen,
+        })).collect::<Vec<_>>(),
         "grid": grid.collect::<Vec<_>>(),
         "dropped": input.dropped,
         "paper": { "learners": ["discrete", "gentle"], "rounds": PAPER_ROUNDS, "error_below": PAPER_ERROR_BELOW },

@@ -66,9 +66,10 @@ pub struct FeatureRow {
     pub name: String,
     /// Area under the ROC curve of the feature alone: 0.5 tells nothing, 1 all.
     pub auc: f64,
-    /// How little it moves when a scan is thinned to half its points; as its source defines it.
+    /// How far it moves when a scan is thinned to every other return: the median, as a share of the
+    /// feature's interquartile range over the scans.
     pub stability: f64,
-    /// Rounds that chose it, of all learners' fits.
+    /// Splits that look at it, of all learners' rounds fitted on all pairs.
     pub chosen: usize,
 }
 

@@ -8,8 +8,8 @@ use dataset::tables::{Provenance, Result, batch, floats, strings, write_table};
 
 use crate::{Evaluation, Input, Summary};
 
-/// Writes `summary`, `errors`, `precision_recall`, `selection` and `mistakes` into a folder; returns
-/// their paths.
+/// Writes `summary`, `errors`, `precision_recall`, `selection`, `features` and `mistakes` into a
+/// folder; returns their paths.
 ///
 /// | table | a row is | columns |
 /// |---|---|---|
@@ -17,6 +17,7 @@ use crate::{Evaluation, Input, Summary};
 /// | `errors` | a learner after T rounds | `learner`, `grouping`, `rounds`, `error`, `precision` (null where no pair is called positive), `recall`, and the four counts |
 /// | `precision_recall` | a threshold | `learner`, `grouping`, `rounds`, `threshold`, `precision`, `recall`, `false_alarm` |
 /// | `selection` | a round of a fit | `learner`, `grouping`, `fold` (both null: fitted on all pairs), `round`, `feature`, `threshold`, `weighted_error`, `error` (cross-validated, after this round; only where fitted on all pairs) |
+/// | `features` | a feature | `feature`, `auc` (of the feature alone), `stability` (how far it moves when scans are thinned to every other return: median, as a share of its interquartile range), `chosen` (how often the models' rounds did) |
 /// | `mistakes` | a wrongly labelled pair, worst first | `learner`, `grouping`, the pair's names, `label`, `confidence`, `distance_m` |
 pub fn write_tables(
     folder: &Path,
@@ -120,6 +121,15 @@ pub fn write_tables(
         ("error", Arc::new(rows.iter().map(error_after).collect::<Float64Array>())),
     ];
     write("selection", columns, &["grouping", "fold", "other_fold", "threshold", "error"])?;
+
+    let rows = input.feature_rows;
+    let columns: Vec<(&str, ArrayRef)> = vec![
+        ("feature", strings(rows.iter().map(|r| &*r.name))),
+        ("auc", floats(rows.iter().map(|r| r.auc))),
+        ("stability", floats(rows.iter().map(|r| r.stability))),
+        ("chosen", Arc::new(UInt64Array::from_iter_values(rows.iter().map(|r| r.chosen as u64)))),
+    ];
+    write("features", columns, &[])?;
 
     let rows = &evaluation.mistakes;
     let pair = |m: &crate::Mistake| &input.pairs[m.pair];

@@ -4,12 +4,14 @@
 
 mod campus;
 mod paper16;
+mod stability;
 
 use dataset::{Scan, Unusable};
 use serde::{Deserialize, Serialize};
 
 pub use campus::{CAMPUS_NAMES, Campus};
 pub use paper16::{PAPER16_NAMES, Paper16};
+pub use stability::{stability, thinned};
 
 /// The section `[featurize]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -118,12 +118,30 @@ impl Paper16 {
 
     fn measure_steps(&mut self, is_ring: bool) {
         self.steps_m.clear();
+        self.steps_m.extend(steps(&self.points, is_ring).map(|(p, q)| distance(p, q)));
+        // Tangents first, for all at once; the few angles that are not small then one by one.
         self.angles_rad.clear();
-        for (p, q) in steps(&self.points, is_ring) {
-            self.steps_m.push(distance(p, q));
-            self.angles_rad.push(libm::atan2(cross(p, q).abs(), dot(p, q)));
+        self.angles_rad
+            .extend(steps(&self.points, is_ring).map(|(p, q)| cross(p, q).abs() / dot(p, q)));
+        for (angle, (p, q)) in self.angles_rad.iter_mut().zip(steps(&self.points, is_ring)) {
+            let t = *angle;
+            *angle = if (0.0..SMALL_TANGENT).contains(&t) && 0.0 < dot(p, q) {
+                small_atan(t)
+            } else {
+                libm::atan2(cross(p, q).abs(), dot(p, q))
+            };
         }
     }
+}
+
+/// Tangents below this are angles by four terms: the fifth, t^9 / 9, is less than 1e-17 of t.
+const SMALL_TANGENT: f64 = 0.009;
+
+/// atan t = t - t^3 / 3 + t^5 / 5 - t^7 / 7, for t below [`SMALL_TANGENT`].
+#[inline]
+fn small_atan(t: f64) -> f64 {
+    let square = t * t;
+    t - t * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
 }
 
 /// Each return with the next; in a closed ring the last one with the first too.

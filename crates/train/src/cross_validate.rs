@@ -244,7 +244,7 @@ mod tests {
         let folded = Folded { data: &data, folds: &folds, keys: &[0; 10] };
         let fit = fit_without(Learner::Discrete, 1, &folded, [0, 1]).unwrap();
         // Threshold 5 between 1 (+) and 9 (-): 3 and 4 lie below.
-        assert_eq!(fit.rounds[0].weak.threshold(), Some(5.0));
+        assert_eq!(fit.rounds[0].weak.splits().next().unwrap().threshold, Some(5.0));
         let result = cross_validate(Learner::Discrete, 1, &folded).unwrap();
         assert_eq!(result.fits[1], fit);
         assert_eq!(result.confidences[0].to_bits(), fit.confidence(&[3.0]).unwrap().to_bits());

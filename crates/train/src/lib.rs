@@ -7,6 +7,7 @@
 mod baseline;
 mod cross_validate;
 mod discrete;
+mod feature_report;
 mod gentle;
 mod gentle_line;
 mod gentle_stump;
@@ -19,6 +20,7 @@ use model::{Classifier, WeakLearner};
 use serde::{Deserialize, Serialize};
 
 pub use cross_validate::{CrossValidated, FoldError, FoldFit, Folded, cross_validate, fit_without};
+pub use feature_report::{FeatureEvidence, feature_report};
 pub use matrix::Matrix;
 
 /// The section `[train]`.

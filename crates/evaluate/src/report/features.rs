@@ -7,6 +7,8 @@ use super::{distinct, figure, name_of, percent};
 use crate::figures::Figure;
 use crate::{Evaluation, Input};
 
+/// Features shown in the table of what each is worth.
+const FEATURES_SHOWN: usize = 20;
 /// Rounds shown in the table of chosen features.
 const SELECTION_ROUNDS: u32 = 10;
 
@@ -81,10 +83,15 @@ fn table_of_features(input: &Input<'_>) -> Markup {
     }
     let mut rows: Vec<_> = input.feature_rows.iter().collect();
     rows.sort_by(|a, b| b.auc.total_cmp(&a.auc).then(a.name.cmp(&b.name)));
+    rows.truncate(FEATURES_SHOWN);
     html! {
         div class="scroll" {
+            p {
+                "Each feature by itself: the area under its ROC curve (0.5 tells nothing); how far it moves when every other return of a scan is left out (median, as a share of its interquartile range: less is better); how many splits of all models look at it. All are in "
+                code { "evaluation/features.parquet" } "."
+            }
             table {
-                thead { tr { th { "feature" } th { "AUC alone" } th { "stability" } th { "chosen" } } }
+                thead { tr { th class="text" { "feature" } th { "AUC alone" } th { "moves by" } th { "chosen" } } }
                 tbody { @for row in rows { tr {
                     th { (row.name) }
                     td { (format!("{:.3}", row.auc)) }

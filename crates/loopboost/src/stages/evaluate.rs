@@ -3,11 +3,11 @@ use std::collections::BTreeMap;
 use anyhow::{Context as _, Result};
 use dataset::tables::scans::{read_scan_headers, read_scans};
 use dataset::tables::{
-    Provenance, TableError, read_features, read_grid, read_keyframes, read_pairs, read_retrieval,
-    read_rounds, read_scores, write_file,
+    FeatureTable, Provenance, TableError, read_features, read_grid, read_keyframes, read_pairs,
+    read_retrieval, read_rounds, read_scores, write_file,
 };
-use dataset::{Dropped, Keyframe};
-use evaluate::{Evaluation, Fact, Input, Sketches};
+use dataset::{BoostingRound, Dropped, Keyframe, Pair, Scan};
+use evaluate::{Evaluation, Fact, FeatureRow, Input, Sketches};
 
 use crate::config::Config;
 use crate::run::{Done, Run, Task};
@@ -64,11 +64,12 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     }
     facts.extend(options(&run.config)?);
 
+    let feature_rows = feature_rows(run, &keyframes, &pairs, &features, &rounds)?;
     let input = Input {
         keyframes: &keyframes,
         pairs: &pairs,
         features: &features,
-        feature_rows: &[],
+        feature_rows: &feature_rows,
         scores: &scores,
         left_out: &left_out,
         rounds: &rounds,
@@ -81,7 +82,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let evaluation = evaluate::evaluate(&input);
     let sketches = sketches(run, &input, &evaluation)?;
     let figures = evaluate::figures(&input, &evaluation, &sketches);
-    let mut done = Done { said: said(run, &evaluation), ..Done::default() };
+    let mut done = Done { said: said(&evaluation), ..Done::default() };
     let folder = run.path("evaluation");
     done.outputs = evaluate::write_tables(&folder, provenance, &input, &evaluation)?;
     done.outputs.extend(evaluate::write_figures(&folder.join("figures"), &figures)?);
@@ -100,11 +101,52 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     Ok(done)
 }
 
+/// Scans whose features are computed again, thinned: enough for a median.
+const THINNED_SCANS: usize = 1000;
+
+/// What each feature is worth by itself, how far it moves when scans are thinned, and how often the
+/// rounds of the models chose it.
+fn feature_rows(
+    run: &Run,
+    keyframes: &[Keyframe],
+    pairs: &[Pair],
+    features: &FeatureTable,
+    rounds: &[BoostingRound],
+) -> Result<Vec<FeatureRow>> {
+    let every = keyframes.len().div_ceil(THINNED_SCANS).max(1);
+    let mut scans = Vec::new();
+    each_scan(run, keyframes, |k, scan| {
+        if k.is_multiple_of(every) {
+            scans.push(scan.clone());
+        }
+    })?;
+    let stability = featurize::stability(&run.config.featurize, &scans);
+    let evidence = train::feature_report(&super::train::matrix(pairs, features), []);
+    let chosen = |name: &String| {
+        rounds.iter().filter(|r| r.left_out.is_none() && r.feature == *name).count()
+    };
+    let rows = features.names.iter().zip(evidence.iter().zip(stability));
+    Ok(rows
+        .map(|(name, (evidence, stability))| FeatureRow {
+            name: name.clone(),
+            auc: evidence.auc,
+            stability,
+            chosen: chosen(name),
+        })
+        .collect())
+}
+
 /// Hands the scans of all keyframes to the figures that are drawn of scans.
 fn sketches(run: &Run, input: &Input<'_>, evaluation: &Evaluation) -> Result<Sketches> {
     let mut sketches = Sketches::new(input, evaluation);
+    each_scan(run, input.keyframes, |k, scan| sketches.add(input, k, scan))?;
+    Ok(sketches)
+}
+
+/// Reads the scans of all keyframes.
+fn each_scan(run: &Run, all: &[Keyframe], mut take: impl FnMut(usize, &Scan)) -> Result<()> {
     let mut logs: BTreeMap<&str, Vec<(u32, usize)>> = BTreeMap::new();
-    for (k, Keyframe { id, .. }) in input.keyframes.iter().enumerate() {
+    for (k, Keyframe { id, .. }) in all.iter().enumerate() {
         logs.entry(&id.log).or_default().push((id.scan, k));
     }
     for (log, mut keyframes) in logs {
@@ -113,15 +155,15 @@ fn sketches(run: &Run, input: &Input<'_>, evaluation: &Evaluation) -> Result<Ske
         let mut of_scans = keyframes.iter().map(|&(_, k)| k);
         read_scans(&run.scans(log), &scans, |batch| {
             for (scan, k) in batch.iter().zip(&mut of_scans) {
-                sketches.add(input, k, scan);
+                take(k, scan);
             }
             Ok::<(), TableError>(())
         })?;
     }
-    Ok(sketches)
+    Ok(())
 }
 
-fn said(run: &Run, evaluation: &Evaluation) -> Vec<String> {
+fn said(evaluation: &Evaluation) -> Vec<String> {
     let of_curve = |curve: &evaluate::PrCurve| {
         let error_at = |rounds: usize| {
             let row = evaluation.errors.iter().find(|row| {
@@ -131,7 +173,9 @@ fn said(run: &Run, evaluation: &Evaluation) -> Vec<String> {
             });
             row.map_or(f64::NAN, |row| row.confusion.error() * 100.0)
         };
-        let (few, all) = (curve.rounds, run.config.train.rounds as usize);
+        let of_learner = evaluation.errors.iter().filter(|row| row.learner == curve.learner);
+        let all = of_learner.map(|row| row.rounds).max().unwrap_or(curve.rounds);
+        let few = curve.rounds;
         format!(
             "{} by {}: error {:.1} % at T = {few}, {:.1} % at T = {all}",
             curve.learner,

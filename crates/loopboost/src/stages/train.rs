@@ -271,7 +271,7 @@ fn model_of(
 }
 
 /// The absolute feature differences of each pair.
-fn matrix(pairs: &[Pair], features: &FeatureTable) -> Matrix {
+pub(crate) fn matrix(pairs: &[Pair], features: &FeatureTable) -> Matrix {
     let n_features = features.names.len();
     let mut columns = vec![Vec::with_capacity(pairs.len()); n_features];
     let mut difference = vec![0.0; n_features];
