@@ -82,10 +82,15 @@ fn error_chart(input: &Input<'_>, evaluation: &Evaluation, grouping: &str) -> Ch
                     format!("{}, T = {}: error {}", name_of(learner), r.rounds, percent(error));
                 (r.rounds as f64, error, text)
             };
+            let mut points: Vec<_> =
+                of.iter().map(|r| (r.rounds as f64, r.confusion.error())).collect();
+            if let (false, Some(last)) = (input.is_boosted(learner), of.last()) {
+                points.push((n_rounds as f64, last.confusion.error()));
+            }
             Series {
                 name: name_of(learner),
                 style: style_of(input, learner),
-                points: of.iter().map(|r| (r.rounds as f64, r.confusion.error())).collect(),
+                points,
                 marks: of.iter().skip(every - 1).step_by(every).map(mark).collect(),
             }
         })

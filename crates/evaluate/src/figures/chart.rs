@@ -79,9 +79,15 @@ impl Chart {
                 }
                 @if let Some((x, y, text)) = &self.below {
                     @let (x, y) = (self.at_x(*x), self.at_y(*y));
+                    // On the side where there is room.
+                    @let is_left = WIDTH / 2.0 < x;
                     g class="below" {
                         path d={ "M" (px(x - 12.0)) " " (px(y)) "h12m-6 0v10m-3.5 -4l3.5 4l3.5 -4" } {}
-                        text x=(px(x - 17.0)) y=(px(y + 4.5)) text-anchor="end" { (text) }
+                        @if is_left {
+                            text x=(px(x - 17.0)) y=(px(y + 4.5)) text-anchor="end" { (text) }
+                        } @else {
+                            text x=(px(x + 5.0)) y=(px(y + 14.0)) { (text) }
+                        }
                     }
                 }
                 g class="legend" {
