@@ -8,7 +8,7 @@
 
 use dataset::{Scan, Unusable};
 
-use crate::lanes::{count, deviations, sums};
+use crate::lanes::{count, deviations, fill, sums};
 
 /// Names, in order; the columns of `features.parquet`.
 pub const PAPER16_NAMES: [&str; 16] = [
@@ -44,7 +44,7 @@ pub struct Paper16 {
     crosses: Vec<f64>,
     angles_rad: Vec<f64>,
     scratch: Vec<f64>,
-    chords: Vec<f64>,
+    squares: Vec<f64>,
 }
 
 impl Paper16 {
@@ -58,7 +58,7 @@ impl Paper16 {
             crosses: Vec::new(),
             angles_rad: Vec::new(),
             scratch: Vec::new(),
-            chords: Vec::new(),
+            squares: Vec::new(),
         }
     }
 
@@ -71,37 +71,35 @@ impl Paper16 {
         }
         let n_points = scan.len();
         let n = n_points as f64;
-        fill(&mut self.x, scan.x_m.iter().map(|&x| f64::from(x)));
-        fill(&mut self.y, scan.y_m.iter().map(|&y| f64::from(y)));
-        let (x, y) = (&self.x[..n_points], &self.y[..n_points]);
-        let mu = sums(n_points, |k| [x[k], y[k]]).map(|sum| sum / n);
+        refill(&mut self.x, scan.x_m.iter().map(|&x| f64::from(x)));
+        refill(&mut self.y, scan.y_m.iter().map(|&y| f64::from(y)));
+        let mu = sums([&self.x, &self.y], |point| point).map(|sum| sum / n);
         let circle = self.fit_circle(scan, mu)?;
         let is_ring = scan.is_ring();
         self.measure_steps(is_ring);
         let m = self.steps_m.len();
 
         let gate_m = self.gate_m;
-        let (d, crosses, angles) = (&self.steps_m[..m], &self.crosses[..m], &self.angles_rad[..m]);
-        let n_breaks = m - count(d, |d| d <= gate_m);
+        let n_breaks = m - count(&self.steps_m, |d| d <= gate_m);
         let groups = if is_ring { n_breaks.max(1) } else { n_breaks + 1 } as f64;
         let close = |d: f64, value: f64| if d <= gate_m { value } else { 0.0 };
         let [close_area, close_distance, distance, angles] =
-            sums(m, |k| [close(d[k], 0.5 * crosses[k]), close(d[k], d[k]), d[k], angles[k]]);
-        let regularity = sample_std(d);
+            sums([&self.steps_m, &self.crosses, &self.angles_rad], |[d, cross, angle]| {
+                [close(d, 0.5 * cross), close(d, d), d, angle]
+            });
+        let regularity = sample_std(&self.steps_m);
 
-        let [cx, cy] = circle.centre;
-        let (x, y) = (&self.x[..n_points], &self.y[..n_points]);
-        let to = |k: usize, cx: f64, cy: f64| length(x[k] - cx, y[k] - cy);
-        let [circle_residual] = sums(n_points, |k| {
-            let off = circle.radius - to(k, cx, cy);
-            [off * off]
-        });
-        fill(&mut self.scratch, (0..n_points).map(|k| to(k, mu[0], mu[1])));
-        let to_mu = &self.scratch[..n_points];
-        let [squared_deviations] = sums(n_points, |k| [to_mu[k] * to_mu[k]]);
-        let std_of_mean = sample_std(&self.scratch);
-        fill(&mut self.scratch, (0..n_points).map(|k| to(k, 0.0, 0.0)));
-        let std_of_ranges = sample_std(&self.scratch);
+        let points = [&self.x[..n_points], &self.y[..n_points]];
+        let scratch = &mut self.scratch;
+        let Circle { centre: [cx, cy], radius } = circle;
+        fill(scratch, points, |[x, y]| radius - length(x - cx, y - cy));
+        let [circle_residual] = sums([scratch], |[off]| [off * off]);
+        let [mx, my] = mu;
+        fill(scratch, points, |[x, y]| length(x - mx, y - my));
+        let [squared_deviations] = sums([scratch], |[off]| [off * off]);
+        let std_of_mean = sample_std(scratch);
+        fill(scratch, points, |[x, y]| length(x, y));
+        let std_of_ranges = sample_std(scratch);
 
         let curvature = match curvature_stride(&self.angles_rad, &mut self.scratch) {
             Some(stride) => self.menger_curvatures(n_points, is_ring, stride),
@@ -136,12 +134,12 @@ impl Paper16 {
             y.push(y[0]);
         }
         let m = x.len() - 1;
-        let ((x, next_x), (y, next_y)) = ((&x[..m], &x[1..=m]), (&y[..m], &y[1..=m]));
-        fill(steps_m, (0..m).map(|k| length(next_x[k] - x[k], next_y[k] - y[k])));
-        fill(crosses, (0..m).map(|k| (x[k] * next_y[k] - next_x[k] * y[k]).abs()));
-        let dot = |k: usize| x[k] * next_x[k] + y[k] * next_y[k];
-        let crosses = &crosses[..m];
-        fill(angles_rad, (0..m).map(|k| crosses[k] / dot(k)));
+        let ends = [&x[..m], &y[..m], &x[1..], &y[1..]];
+        fill(steps_m, ends, |[x, y, next_x, next_y]| length(next_x - x, next_y - y));
+        fill(crosses, ends, |[x, y, next_x, next_y]| (x * next_y - next_x * y).abs());
+        fill(angles_rad, ends, |[x, y, next_x, next_y]| {
+            (x * next_y - next_x * y).abs() / (x * next_x + y * next_y)
+        });
         // -0.0 is an angle of 180 deg; NaN one at the sensor itself.
         let is_small = |t: f64| t.is_sign_positive() && t < SMALL_TANGENT;
         let all_small = count(angles_rad, is_small) == m;
@@ -150,7 +148,8 @@ impl Paper16 {
             return;
         }
         for (k, t) in angles_rad.iter_mut().enumerate() {
-            *t = if is_small(*t) { small_atan(*t) } else { libm::atan2(crosses[k], dot(k)) };
+            let dot = x[k] * x[k + 1] + y[k] * y[k + 1];
+            *t = if is_small(*t) { small_atan(*t) } else { libm::atan2(crosses[k], dot) };
         }
     }
 
@@ -167,10 +166,8 @@ impl Paper16 {
     /// The points must not be on one line, so that the determinant is positive. The scan itself is
     /// asked only where the determinant leaves a doubt.
     fn fit_circle(&self, scan: &Scan, mu: [f64; 2]) -> Result<Circle, Unusable> {
-        let n = scan.len();
-        let (x, y) = (&self.x[..n], &self.y[..n]);
-        let [suu, suv, svv, bu, bv] = sums(n, |k| {
-            let (u, v) = (x[k] - mu[0], y[k] - mu[1]);
+        let [suu, suv, svv, bu, bv] = sums([&self.x, &self.y], |[x, y]| {
+            let (u, v) = (x - mu[0], y - mu[1]);
             let square = u * u + v * v;
             [u * u, u * v, v * v, u * square, v * square]
         });
@@ -181,14 +178,14 @@ impl Paper16 {
         }
         let uc = 0.5 * (bu * svv - bv * suv) / det;
         let vc = 0.5 * (bv * suu - bu * suv) / det;
-        let radius = (uc * uc + vc * vc + (suu + svv) / n as f64).sqrt();
+        let radius = (uc * uc + vc * vc + (suu + svv) / scan.len() as f64).sqrt();
         Ok(Circle { centre: [mu[0] + uc, mu[1] + vc], radius })
     }
 
     /// Menger curvature 4 A / (a b c) of the triples (i - s, i, i + s), A the triangle's area and
     /// a, b, c its sides, over the triples with all sides in (0, g]; 0 where there is none.
     fn menger_curvatures(&mut self, n: usize, is_ring: bool, stride: usize) -> MeanStd {
-        let Self { gate_m, x, y, scratch, chords, .. } = self;
+        let Self { gate_m, x, y, scratch, squares, .. } = self;
         let gate_m = *gate_m;
         // Around the ring, as often as it takes.
         let stride = if is_ring { stride % n } else { stride };
@@ -203,33 +200,30 @@ impl Paper16 {
             }
         }
         let n_chords = n_triples + stride;
-        let ahead = |steps: usize| (&x[steps..][..n_chords], &y[steps..][..n_chords]);
-        let ((x0, y0), (x1, y1)) = (ahead(0), ahead(stride));
-        fill(chords, (0..n_chords).map(|k| length(x1[k] - x0[k], y1[k] - y0[k])));
-        let triples = |steps: usize| (&x[steps..][..n_triples], &y[steps..][..n_triples]);
-        let ((x0, y0), (x1, y1), (x2, y2)) = (triples(0), triples(stride), triples(2 * stride));
-        let (a, b) = (&chords[..n_triples], &chords[stride..][..n_triples]);
-        let within = |side: f64| (0.0 < side) & (side <= gate_m);
-        fill(
-            scratch,
-            (0..n_triples).map(|k| {
-                let (dx, dy) = (x2[k] - x0[k], y2[k] - y0[k]);
-                let c = length(dx, dy);
-                let doubled_area = ((x1[k] - x0[k]) * dy - dx * (y1[k] - y0[k])).abs();
-                let curvature = 2.0 * doubled_area / (a[k] * b[k] * c);
-                if within(a[k]) & within(b[k]) & within(c) { curvature } else { NO_CURVATURE }
-            }),
-        );
+        let [x0, y0] = [&x[..n_chords], &y[..n_chords]];
+        let [x1, y1] = [&x[stride..][..n_chords], &y[stride..][..n_chords]];
+        fill(squares, [x0, y0, x1, y1], |[x0, y0, x1, y1]| square(x1 - x0, y1 - y0));
+        let [x0, y0, x1, y1] = [x0, y0, x1, y1].map(|column| &column[..n_triples]);
+        let [x2, y2] = [&x[2 * stride..][..n_triples], &y[2 * stride..][..n_triples]];
+        let [a2, b2] = [&squares[..n_triples], &squares[stride..][..n_triples]];
+        // In squares: one root for the three sides.
+        let gate = gate_m * gate_m;
+        let within = |square: f64| (0.0 < square) & (square <= gate);
+        fill(scratch, [x0, y0, x1, y1, x2, y2, a2, b2], |[x0, y0, x1, y1, x2, y2, a2, b2]| {
+            let c2 = square(x2 - x0, y2 - y0);
+            let doubled_area = ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)).abs();
+            let curvature = 2.0 * doubled_area / (a2 * b2 * c2).sqrt();
+            if within(a2) & within(b2) & within(c2) { curvature } else { NO_CURVATURE }
+        });
         let is_one = |v: f64| 0.0 <= v;
-        let scratch = &scratch[..n_triples];
         let n_within = count(scratch, is_one);
         if n_within == 0 {
             return MeanStd { mean: 0.0, std: 0.0 };
         }
-        let [sum] = sums(n_triples, |k| [if is_one(scratch[k]) { scratch[k] } else { 0.0 }]);
+        let [sum] = sums([scratch], |[v]| [if is_one(v) { v } else { 0.0 }]);
         let mean = sum / n_within as f64;
-        let [squares] = sums(n_triples, |k| {
-            let off = if is_one(scratch[k]) { scratch[k] - mean } else { 0.0 };
+        let [squares] = sums([scratch], |[v]| {
+            let off = if is_one(v) { v - mean } else { 0.0 };
             [off * off]
         });
         let std = if n_within < 2 { 0.0 } else { (squares / (n_within as f64 - 1.0)).sqrt() };
@@ -254,14 +248,19 @@ fn small_atan(t: f64) -> f64 {
     t - t * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
 }
 
-fn fill(column: &mut Vec<f64>, values: impl Iterator<Item = f64>) {
+fn refill(column: &mut Vec<f64>, values: impl Iterator<Item = f64>) {
     column.clear();
     column.extend(values);
 }
 
 #[inline]
+fn square(dx: f64, dy: f64) -> f64 {
+    dx * dx + dy * dy
+}
+
+#[inline]
 fn length(dx: f64, dy: f64) -> f64 {
-    (dx * dx + dy * dy).sqrt()
+    square(dx, dy).sqrt()
 }
 
 /// Square root of the sum of squared deviations over count - 1; 0 for fewer than 2 values.
@@ -289,7 +288,7 @@ fn curvature_stride(angles_rad: &[f64], scratch: &mut Vec<f64>) -> Option<usize>
     let stride_of = |median: f64| ((one / median).round() as usize).max(1);
     // The median of a few gives a guess; where both middle angles lie well within what the guess
     // stands for, it is right, and nothing has to be sorted.
-    fill(scratch, angles_rad.iter().copied().step_by(SAMPLE));
+    refill(scratch, angles_rad.iter().copied().step_by(SAMPLE));
     let guess = median(scratch);
     if 0.0 < guess {
         let stride = stride_of(guess);
@@ -302,7 +301,7 @@ fn curvature_stride(angles_rad: &[f64], scratch: &mut Vec<f64>) -> Option<usize>
             return Some(stride);
         }
     }
-    fill(scratch, angles_rad.iter().copied());
+    refill(scratch, angles_rad.iter().copied());
     let median = median(scratch);
     (0.0 < median).then(|| stride_of(median))
 }
