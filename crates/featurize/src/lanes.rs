@@ -53,12 +53,13 @@ pub(crate) fn sums<const M: usize, const N: usize>(
 }
 
 /// How many of the values are so.
-#[inline]
+#[inline(always)]
 pub(crate) fn count(values: &[f64], is_so: impl Fn(f64) -> bool) -> usize {
     values.iter().map(|&value| usize::from(is_so(value))).sum()
 }
 
 /// The sum of squared deviations from the mean.
+#[inline(always)]
 pub(crate) fn deviations(values: &[f64]) -> f64 {
     let [sum] = sums([values], |v| v);
     let mean = sum / values.len() as f64;
