@@ -3,6 +3,7 @@
 //! Everything here also runs on a robot: no Arrow, no Parquet, no MCAP.
 
 mod campus;
+mod lanes;
 mod paper16;
 mod stability;
 

@@ -8,6 +8,8 @@
 
 use dataset::{Scan, Unusable};
 
+use crate::lanes::{count, deviations, fill, sums};
+
 /// Names, in order; the columns of `features.parquet`.
 pub const PAPER16_NAMES: [&str; 16] = [
     "centroid",
@@ -29,13 +31,20 @@ pub const PAPER16_NAMES: [&str; 16] = [
 ];
 
 /// Computes the features of one scan after another, reusing its memory.
+///
+/// Each step of the work runs over whole columns, so that it runs on vectors.
 #[derive(Debug, Clone)]
 pub struct Paper16 {
     gate_m: f64,
-    points: Vec<[f64; 2]>,
+    /// Coordinates of the returns; in a ring the first ones again behind the last, as many as a step
+    /// or a triple reaches over the end.
+    x: Vec<f64>,
+    y: Vec<f64>,
     steps_m: Vec<f64>,
+    crosses: Vec<f64>,
     angles_rad: Vec<f64>,
     scratch: Vec<f64>,
+    squares: Vec<f64>,
 }
 
 impl Paper16 {
@@ -43,10 +52,13 @@ impl Paper16 {
     pub fn new(gate_m: f64) -> Self {
         Self {
             gate_m,
-            points: Vec::new(),
+            x: Vec::new(),
+            y: Vec::new(),
             steps_m: Vec::new(),
+            crosses: Vec::new(),
             angles_rad: Vec::new(),
             scratch: Vec::new(),
+            squares: Vec::new(),
         }
     }
 
@@ -54,166 +66,273 @@ impl Paper16 {
     ///
     /// Angles in rad, lengths in m, areas in m^2, curvatures in 1/m.
     pub fn features(&mut self, scan: &Scan) -> Result<[f64; 16], Unusable> {
-        scan.check_usable()?;
-        self.points.clear();
-        self.points.extend(scan.points());
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            // SAFETY: the processor has AVX2, which is all that the function asks for.
+            return unsafe { self.features_avx2(scan) };
+        }
+        self.compute(scan)
+    }
+
+    /// The same steps on wider vectors. The bits are the same: each operation is rounded by itself,
+    /// and sums have their lanes whatever the width.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn features_avx2(&mut self, scan: &Scan) -> Result<[f64; 16], Unusable> {
+        self.compute(scan)
+    }
+
+    #[inline(always)]
+    fn compute(&mut self, scan: &Scan) -> Result<[f64; 16], Unusable> {
+        if scan.len() < 3 {
+            return Err(Unusable::TooFewReturns);
+        }
+        let n_points = scan.len();
+        let n = n_points as f64;
+        refill(&mut self.x, scan.x_m.iter().map(|&x| f64::from(x)));
+        refill(&mut self.y, scan.y_m.iter().map(|&y| f64::from(y)));
+        let mu = sums([&self.x, &self.y], |point| point).map(|sum| sum / n);
+        let circle = self.fit_circle(scan, mu)?;
         let is_ring = scan.is_ring();
         self.measure_steps(is_ring);
+        let m = self.steps_m.len();
 
-        let Self { gate_m, points, steps_m, angles_rad, scratch } = self;
-        let gate_m = *gate_m;
-        let n = points.len() as f64;
-        let m = steps_m.len() as f64;
-
-        let [sum_x, sum_y] = points.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
-        let mu = [sum_x / n, sum_y / n];
-
-        let close = || steps_m.iter().filter(|&&d| d <= gate_m);
-        let n_breaks = steps_m.len() - close().count();
+        let gate_m = self.gate_m;
+        let n_breaks = m - count(&self.steps_m, |d| d <= gate_m);
         let groups = if is_ring { n_breaks.max(1) } else { n_breaks + 1 } as f64;
+        let close = |d: f64, value: f64| if d <= gate_m { value } else { 0.0 };
+        let [close_area, close_distance, distance, angles] =
+            sums([&self.steps_m, &self.crosses, &self.angles_rad], |[d, cross, angle]| {
+                [close(d, 0.5 * cross), close(d, d), d, angle]
+            });
+        let regularity = sample_std(&self.steps_m);
 
-        let close_area: f64 = steps(points, is_ring)
-            .zip(steps_m.iter())
-            .filter(|&(_, &d)| d <= gate_m)
-            .map(|((p, q), _)| 0.5 * cross(p, q).abs())
-            .sum();
+        let points = [&self.x[..n_points], &self.y[..n_points]];
+        let scratch = &mut self.scratch;
+        let Circle { centre: [cx, cy], radius, squared_deviations } = circle;
+        fill(scratch, points, |[x, y]| radius - length(x - cx, y - cy));
+        let [circle_residual] = sums([scratch], |[off]| [off * off]);
+        let [mx, my] = mu;
+        fill(scratch, points, |[x, y]| length(x - mx, y - my));
+        let std_of_mean = sample_std(scratch);
+        fill(scratch, points, |[x, y]| length(x, y));
+        let std_of_ranges = sample_std(scratch);
 
-        let circle = fit_circle(points, mu);
-        let circle_residual: f64 =
-            points.iter().map(|p| (circle.radius - distance(p, &circle.centre)).powi(2)).sum();
-
-        let curvature = match curvature_stride(angles_rad, scratch) {
-            Some(stride) => menger_curvatures(points, is_ring, stride, gate_m, scratch),
+        let curvature = match curvature_stride(&self.angles_rad, &mut self.scratch) {
+            Some(stride) => self.menger_curvatures(n_points, is_ring, stride),
             None => MeanStd { mean: 0.0, std: 0.0 },
         };
 
-        scratch.clear();
-        scratch.extend(points.iter().map(|p| distance(p, &mu)));
-        let squared_deviations: f64 = scratch.iter().map(|d| d * d).sum();
-        let std_of_mean = sample_std(scratch);
-
-        scratch.clear();
-        scratch.extend(points.iter().map(|p| distance(p, &[0.0; 2])));
-        let std_of_ranges = sample_std(scratch);
-
         Ok([
-            distance(&mu, &[0.0; 2]),                // 1 centroid: |mu|
+            length(mu[0], mu[1]),                    // 1 centroid: |mu|
             close_area,                              // 2 sum over close steps of 1/2 |p x q|
-            close().sum(),                           // 3 close_distance: sum of close d_i
-            circle.radius,                           // 4 circle_radius
+            close_distance,                          // 3 sum of close d_i
+            radius,                                  // 4 circle_radius
             circle_residual,                         // 5 sum of (R - |p_i - c|)^2
             curvature.mean,                          // 6 curvature_mean
             curvature.std,                           // 7 curvature_std
-            steps_m.iter().sum(),                    // 8 distance: sum of all d_i
+            distance,                                // 8 sum of all d_i
             groups,                                  // 9 groups
             n / groups,                              // 10 mean_group_size
-            angles_rad.iter().sum::<f64>() / m,      // 11 mean_angular_difference
+            angles / m as f64,                       // 11 mean_angular_difference
             (squared_deviations / (n - 1.0)).sqrt(), // 12 mean_deviation
-            sample_std(steps_m),                     // 13 regularity
+            regularity,                              // 13 sample deviation of the d_i
             n,                                       // 14 size
             std_of_mean,                             // 15 sample deviation of |p_i - mu|
             std_of_ranges,                           // 16 sample deviation of r_i
         ])
     }
 
+    /// Lengths d_i, |p_i x p_i+1| and angles a_i of the steps.
+    #[inline(always)]
     fn measure_steps(&mut self, is_ring: bool) {
-        self.steps_m.clear();
-        self.steps_m.extend(steps(&self.points, is_ring).map(|(p, q)| distance(p, q)));
-        // Tangents first, for all at once; the few angles that are not small then one by one.
-        self.angles_rad.clear();
-        self.angles_rad
-            .extend(steps(&self.points, is_ring).map(|(p, q)| cross(p, q).abs() / dot(p, q)));
-        for (angle, (p, q)) in self.angles_rad.iter_mut().zip(steps(&self.points, is_ring)) {
-            let t = *angle;
-            *angle = if (0.0..SMALL_TANGENT).contains(&t) && 0.0 < dot(p, q) {
-                small_atan(t)
-            } else {
-                libm::atan2(cross(p, q).abs(), dot(p, q))
-            };
+        let Self { x, y, steps_m, crosses, angles_rad, .. } = self;
+        if is_ring {
+            x.push(x[0]);
+            y.push(y[0]);
+        }
+        let m = x.len() - 1;
+        let ends = [&x[..m], &y[..m], &x[1..], &y[1..]];
+        fill(steps_m, ends, |[x, y, next_x, next_y]| length(next_x - x, next_y - y));
+        fill(crosses, ends, |[x, y, next_x, next_y]| (x * next_y - next_x * y).abs());
+        fill(angles_rad, ends, |[x, y, next_x, next_y]| {
+            (x * next_y - next_x * y).abs() / (x * next_x + y * next_y)
+        });
+        // -0.0 is an angle of 180 deg; NaN one at the sensor itself.
+        let is_small = |t: f64| t.is_sign_positive() && t < SMALL_TANGENT;
+        let all_small = count(angles_rad, is_small) == m;
+        if all_small {
+            angles_rad.iter_mut().for_each(|t| *t = small_atan(*t));
+            return;
+        }
+        for (k, t) in angles_rad.iter_mut().enumerate() {
+            let dot = x[k] * x[k + 1] + y[k] * y[k + 1];
+            *t = if is_small(*t) { small_atan(*t) } else { libm::atan2(crosses[k], dot) };
         }
     }
+
+    /// The circle that minimises the sum of (|p - c|^2 - R^2)^2 (Kasa 1976, "A circle fitting
+    /// procedure and its error analysis"), in coordinates (u, v) about the mean, where the normal
+    /// equations are
+    ///
+    /// ```text
+    /// | Suu Suv | |uc|   1 | Suuu + Suvv |
+    /// | Suv Svv | |vc| = - | Svvv + Suuv |     R^2 = uc^2 + vc^2 + (Suu + Svv) / n
+    ///                    2
+    /// ```
+    ///
+    /// The points must not be on one line, so that the determinant is positive. The scan itself is
+    /// asked only where the determinant leaves a doubt.
+    #[inline(always)]
+    fn fit_circle(&self, scan: &Scan, mu: [f64; 2]) -> Result<Circle, Unusable> {
+        let [suu, suv, svv, bu, bv] = sums([&self.x, &self.y], |[x, y]| {
+            let (u, v) = (x - mu[0], y - mu[1]);
+            let square = u * u + v * v;
+            [u * u, u * v, v * v, u * square, v * square]
+        });
+        let (det, trace) = (suu * svv - suv * suv, suu + svv);
+        let is_clear = det.is_finite() && CLEARLY_NO_LINE * trace * trace < det;
+        if !is_clear {
+            scan.check_usable()?;
+        }
+        let uc = 0.5 * (bu * svv - bv * suv) / det;
+        let vc = 0.5 * (bv * suu - bu * suv) / det;
+        let radius = (uc * uc + vc * vc + (suu + svv) / scan.len() as f64).sqrt();
+        Ok(Circle { centre: [mu[0] + uc, mu[1] + vc], radius, squared_deviations: trace })
+    }
+
+    /// Menger curvature 4 A / (a b c) of the triples (i - s, i, i + s), A the triangle's area and
+    /// a, b, c its sides, over the triples with all sides in (0, g]; 0 where there is none.
+    #[inline(always)]
+    fn menger_curvatures(&mut self, n: usize, is_ring: bool, stride: usize) -> MeanStd {
+        let Self { gate_m, x, y, scratch, squares, .. } = self;
+        let gate_m = *gate_m;
+        // Around the ring, as often as it takes.
+        let stride = if is_ring { stride % n } else { stride };
+        let n_triples = if is_ring { n } else { n.saturating_sub(stride.saturating_mul(2)) };
+        if n_triples == 0 {
+            return MeanStd { mean: 0.0, std: 0.0 };
+        }
+        for column in [&mut *x, &mut *y] {
+            column.truncate(n);
+            while column.len() < n_triples + 2 * stride {
+                column.push(column[column.len() - n]);
+            }
+        }
+        let n_chords = n_triples + stride;
+        let [x0, y0] = [&x[..n_chords], &y[..n_chords]];
+        let [x1, y1] = [&x[stride..][..n_chords], &y[stride..][..n_chords]];
+        fill(squares, [x0, y0, x1, y1], |[x0, y0, x1, y1]| square(x1 - x0, y1 - y0));
+        let [x0, y0, x1, y1] = [x0, y0, x1, y1].map(|column| &column[..n_triples]);
+        let [x2, y2] = [&x[2 * stride..][..n_triples], &y[2 * stride..][..n_triples]];
+        let [a2, b2] = [&squares[..n_triples], &squares[stride..][..n_triples]];
+        // In squares: one root for the three sides.
+        let gate = gate_m * gate_m;
+        let within = |square: f64| (0.0 < square) & (square <= gate);
+        fill(scratch, [x0, y0, x1, y1, x2, y2, a2, b2], |[x0, y0, x1, y1, x2, y2, a2, b2]| {
+            let c2 = square(x2 - x0, y2 - y0);
+            let doubled_area = ((x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)).abs();
+            let curvature = 2.0 * doubled_area / (a2 * b2 * c2).sqrt();
+            if within(a2) & within(b2) & within(c2) { curvature } else { NO_CURVATURE }
+        });
+        let is_one = |v: f64| 0.0 <= v;
+        let n_within = count(scratch, is_one);
+        if n_within == 0 {
+            return MeanStd { mean: 0.0, std: 0.0 };
+        }
+        let [sum] = sums([scratch], |[v]| [if is_one(v) { v } else { 0.0 }]);
+        let mean = sum / n_within as f64;
+        let [squares] = sums([scratch], |[v]| {
+            let off = if is_one(v) { v - mean } else { 0.0 };
+            [off * off]
+        });
+        let std = if n_within < 2 { 0.0 } else { (squares / (n_within as f64 - 1.0)).sqrt() };
+        MeanStd { mean, std }
+    }
 }
+
+/// Stands for a triple with a side beyond the gate; curvatures are 0 or more.
+const NO_CURVATURE: f64 = -1.0;
+
+/// det / trace^2 of the scatter matrix from which points are on no line whatever the rounding; ten
+/// times what [`Scan::check_usable`] asks for.
+const CLEARLY_NO_LINE: f64 = 1e-11;
 
 /// Tangents below this are angles by four terms: the fifth, t^9 / 9, is less than 1e-17 of t.
 const SMALL_TANGENT: f64 = 0.009;
 
 /// atan t = t - t^3 / 3 + t^5 / 5 - t^7 / 7, for t below [`SMALL_TANGENT`].
-#[inline]
+#[inline(always)]
 fn small_atan(t: f64) -> f64 {
     let square = t * t;
     t - t * square * (1.0 / 3.0 - square * (0.2 - square / 7.0))
 }
 
-/// Each return with the next; in a closed ring the last one with the first too.
-fn steps(points: &[[f64; 2]], is_ring: bool) -> impl Iterator<Item = (&[f64; 2], &[f64; 2])> {
-    let closing = if is_ring { points.last().zip(points.first()) } else { None };
-    points.iter().zip(points.iter().skip(1)).chain(closing)
+#[inline(always)]
+fn refill(column: &mut Vec<f64>, values: impl Iterator<Item = f64>) {
+    column.clear();
+    column.extend(values);
 }
 
-fn distance(p: &[f64; 2], q: &[f64; 2]) -> f64 {
-    ((p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2)).sqrt()
+#[inline(always)]
+fn square(dx: f64, dy: f64) -> f64 {
+    dx * dx + dy * dy
 }
 
-fn cross(p: &[f64; 2], q: &[f64; 2]) -> f64 {
-    p[0] * q[1] - q[0] * p[1]
-}
-
-fn dot(p: &[f64; 2], q: &[f64; 2]) -> f64 {
-    p[0] * q[0] + p[1] * q[1]
+#[inline(always)]
+fn length(dx: f64, dy: f64) -> f64 {
+    square(dx, dy).sqrt()
 }
 
 /// Square root of the sum of squared deviations over count - 1; 0 for fewer than 2 values.
+#[inline(always)]
 fn sample_std(values: &[f64]) -> f64 {
     if values.len() < 2 {
         return 0.0;
     }
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt()
+    (deviations(values) / (values.len() as f64 - 1.0)).sqrt()
 }
 
 struct Circle {
     centre: [f64; 2],
     radius: f64,
+    /// Suu + Svv, of the points from their mean.
+    squared_deviations: f64,
 }
 
-/// The circle that minimises the sum of (|p - c|^2 - R^2)^2 (Kasa 1976, "A circle fitting
-/// procedure and its error analysis"), in coordinates (u, v) about the mean, where the normal
-/// equations are
-///
-/// ```text
-/// | Suu Suv | |uc|   1 | Suuu + Suvv |
-/// | Suv Svv | |vc| = - | Svvv + Suuv |     R^2 = uc^2 + vc^2 + (Suu + Svv) / n
-///                    2
-/// ```
-///
-/// The points are not on one line (`Scan::check_usable`), so that the determinant is positive.
-fn fit_circle(points: &[[f64; 2]], mu: [f64; 2]) -> Circle {
-    let (mut suu, mut suv, mut svv, mut bu, mut bv) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for p in points {
-        let (u, v) = (p[0] - mu[0], p[1] - mu[1]);
-        let square = u * u + v * v;
-        suu += u * u;
-        suv += u * v;
-        svv += v * v;
-        bu += u * square;
-        bv += v * square;
-    }
-    let det = suu * svv - suv * suv;
-    let uc = 0.5 * (bu * svv - bv * suv) / det;
-    let vc = 0.5 * (bv * suu - bu * suv) / det;
-    let radius = (uc * uc + vc * vc + (suu + svv) / points.len() as f64).sqrt();
-    Circle { centre: [mu[0] + uc, mu[1] + vc], radius }
+struct MeanStd {
+    mean: f64,
+    std: f64,
 }
 
 /// How many returns make about one degree: max(1, round(1 deg / median a_i)). None where the
 /// median is 0: returns that lie behind one another span no angle, however many.
+#[inline(always)]
 fn curvature_stride(angles_rad: &[f64], scratch: &mut Vec<f64>) -> Option<usize> {
-    scratch.clear();
-    scratch.extend_from_slice(angles_rad);
-    let median_rad = median(scratch);
-    (0.0 < median_rad).then(|| ((1f64.to_radians() / median_rad).round() as usize).max(1))
+    let one = 1f64.to_radians();
+    let stride_of = |median: f64| ((one / median).round() as usize).max(1);
+    // The median of a few gives a guess; where both middle angles lie well within what the guess
+    // stands for, it is right, and nothing has to be sorted.
+    refill(scratch, angles_rad.iter().copied().step_by(SAMPLE));
+    let guess = median(scratch);
+    if 0.0 < guess {
+        let stride = stride_of(guess);
+        let low = one / (stride as f64 + 0.5) * (1.0 + 1e-9);
+        let high =
+            if stride == 1 { f64::INFINITY } else { one / (stride as f64 - 0.5) * (1.0 - 1e-9) };
+        let n = angles_rad.len();
+        if count(angles_rad, |a| a <= low) <= (n - 1) / 2 && n / 2 < count(angles_rad, |a| a < high)
+        {
+            return Some(stride);
+        }
+    }
+    refill(scratch, angles_rad.iter().copied());
+    let median = median(scratch);
+    (0.0 < median).then(|| stride_of(median))
 }
+
+/// Of so many angles one makes the guess.
+const SAMPLE: usize = 32;
 
 /// The middle value, or the mean of the two middle ones; reorders the values.
 fn median(values: &mut [f64]) -> f64 {
@@ -225,47 +344,4 @@ fn median(values: &mut [f64]) -> f64 {
     }
     let lower = below.iter().copied().max_by(f64::total_cmp).unwrap_or(upper);
     0.5 * (lower + upper)
-}
-
-struct MeanStd {
-    mean: f64,
-    std: f64,
-}
-
-/// Menger curvature 4 A / (a b c) of the triples (i - s, i, i + s), A the triangle's area and
-/// a, b, c its sides, over the triples with all sides in (0, g]; 0 where there is none.
-fn menger_curvatures(
-    points: &[[f64; 2]],
-    is_ring: bool,
-    stride: usize,
-    gate_m: f64,
-    scratch: &mut Vec<f64>,
-) -> MeanStd {
-    scratch.clear();
-    let n = points.len();
-    let within = |side: f64| 0.0 < side && side <= gate_m;
-    let mut triple = |p: &[f64; 2], q: &[f64; 2], r: &[f64; 2]| {
-        let (a, b, c) = (distance(p, q), distance(q, r), distance(r, p));
-        if within(a) && within(b) && within(c) {
-            let doubled_area =
-                ((q[0] - p[0]) * (r[1] - p[1]) - (r[0] - p[0]) * (q[1] - p[1])).abs();
-            scratch.push(2.0 * doubled_area / (a * b * c));
-        }
-    };
-    if is_ring {
-        // Around the ring, as often as it takes.
-        let stride = stride % n;
-        for (i, q) in points.iter().enumerate() {
-            triple(&points[(i + n - stride) % n], q, &points[(i + stride) % n]);
-        }
-    } else {
-        for window in points.windows(stride.saturating_mul(2).saturating_add(1)) {
-            triple(&window[0], &window[stride], &window[2 * stride]);
-        }
-    }
-    if scratch.is_empty() {
-        return MeanStd { mean: 0.0, std: 0.0 };
-    }
-    let mean = scratch.iter().sum::<f64>() / scratch.len() as f64;
-    MeanStd { mean, std: sample_std(scratch) }
 }

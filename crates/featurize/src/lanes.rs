@@ -1,0 +1,88 @@
+//! Columns computed from columns, in loops that run on vectors, and sums in lanes: value k goes to lane k modulo [`LANES`], and the lanes are added in
+//! their order. That order is fixed, so that the bits are the same everywhere, and additions need
+//! not wait for one another.
+
+use std::array::from_fn;
+
+/// Sums that run side by side.
+const LANES: usize = 4;
+
+/// Writes to `out` what `value` makes of each row of the columns, which are of one length.
+#[inline(always)]
+pub(crate) fn fill<const M: usize>(
+    out: &mut Vec<f64>,
+    columns: [&[f64]; M],
+    value: impl Fn([f64; M]) -> f64,
+) {
+    let n = columns[0].len();
+    out.resize(n, 0.0);
+    let out = &mut out[..n];
+    // Cut to one length where the loop stands: no bound is left to check in it.
+    let columns = columns.map(|column| &column[..n]);
+    for (k, out) in out.iter_mut().enumerate() {
+        *out = value(from_fn(|c| columns[c][k]));
+    }
+}
+
+/// The sums of the N values that `values` makes of each row of the columns, which are of one length.
+#[inline(always)]
+pub(crate) fn sums<const M: usize, const N: usize>(
+    columns: [&[f64]; M],
+    values: impl Fn([f64; M]) -> [f64; N],
+) -> [f64; N] {
+    let n = columns[0].len();
+    let columns = columns.map(|column| &column[..n]);
+    let mut lanes = [[0.0; LANES]; N];
+    let whole = n - n % LANES;
+    for first in (0..whole).step_by(LANES) {
+        let blocks: [&[f64]; M] = from_fn(|c| &columns[c][first..first + LANES]);
+        for lane in 0..LANES {
+            let values = values(from_fn(|c| blocks[c][lane]));
+            for i in 0..N {
+                lanes[i][lane] += values[i];
+            }
+        }
+    }
+    for (lane, k) in (whole..n).enumerate() {
+        let values = values(from_fn(|c| columns[c][k]));
+        for i in 0..N {
+            lanes[i][lane] += values[i];
+        }
+    }
+    lanes.map(|sums| sums.iter().sum())
+}
+
+/// How many of the values are so.
+#[inline(always)]
+pub(crate) fn count(values: &[f64], is_so: impl Fn(f64) -> bool) -> usize {
+    values.iter().map(|&value| usize::from(is_so(value))).sum()
+}
+
+/// The sum of squared deviations from the mean.
+#[inline(always)]
+pub(crate) fn deviations(values: &[f64]) -> f64 {
+    let [sum] = sums([values], |v| v);
+    let mean = sum / values.len() as f64;
+    let [squares] = sums([values], |[v]| [(v - mean) * (v - mean)]);
+    squares
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_row_counts_once_whatever_the_number() {
+        for n in 0..40usize {
+            let column: Vec<f64> = (0..n).map(|k| k as f64).collect();
+            let expected = (n * n.saturating_sub(1) / 2) as f64;
+            assert_eq!(sums([&column, &column], |[a, b]| [a, b - a + 1.0]), [expected, n as f64]);
+            let mut out = vec![7.0; 5];
+            fill(&mut out, [&column, &column], |[a, b]| a * b);
+            assert!(out.iter().enumerate().all(|(k, v)| *v as usize == k * k) && out.len() == n);
+        }
+        assert_eq!(count(&[1.0, 2.0, 3.0], |v| v < 2.5), 2);
+        // 1, 2, 3, 6 about 3: 4 + 1 + 0 + 9.
+        assert_eq!(deviations(&[1.0, 2.0, 3.0, 6.0]), 14.0);
+    }
+}
