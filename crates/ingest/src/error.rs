@@ -55,7 +55,7 @@ pub enum IngestError {
     },
     /// The pose topic is there but empty, or no message of it could be read.
     #[error(
-        "{path}: topic `{topic}` holds no usable pose{detail}; set `ingest.pose.topic` to a topic that has poses"
+        "{path}: topic `{topic}` holds no usable pose{detail}; take the poses from elsewhere (`ingest.pose.topic`, `frames` or `wheels`)"
     )]
     NoPoses {
         /// The log.

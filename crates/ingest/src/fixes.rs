@@ -20,10 +20,17 @@ const FLATTENING: f64 = 1.0 / 298.257_223_563;
 /// `sensor_msgs/NavSatStatus`: below this there is no fix.
 const STATUS_FIX: i8 = 0;
 
+/// Nearer to 0, 0 than this nobody drives \[deg\].
+const NULL_ISLAND_DEG: f64 = 1e-6;
+
 /// Refuses what is no place; the error says why ("without ...").
 pub(crate) fn check(fix: &NavSatFix) -> Result<(), String> {
     if fix.status < STATUS_FIX {
         return Err("without a fix (status below 0)".to_owned());
+    }
+    // In the Gulf of Guinea, 600 km from land.
+    if fix.latitude_deg.abs() < NULL_ISLAND_DEG && fix.longitude_deg.abs() < NULL_ISLAND_DEG {
+        return Err("at latitude and longitude 0, which receivers give without a fix".to_owned());
     }
     if !(fix.latitude_deg.abs() <= 90.0 && fix.longitude_deg.abs() <= 360.0) {
         return Err("whose latitude or longitude is no place on the earth".to_owned());
@@ -173,6 +180,8 @@ mod tests {
         let lost = NavSatFix { status: -1, ..fix(0, 1.0, 1.0) };
         assert!(check(&lost).unwrap_err().contains("without a fix"));
         assert!(check(&fix(0, f64::NAN, 0.0)).unwrap_err().contains("no place"));
+        assert!(check(&fix(0, 0.0, 0.0)).unwrap_err().contains("latitude and longitude 0"));
         assert_eq!(check(&fix(0, -90.0, 180.0)), Ok(()));
+        assert_eq!(check(&fix(0, 0.0, 32.6)), Ok(()));
     }
 }

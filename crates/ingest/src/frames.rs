@@ -5,7 +5,7 @@
 //! one that is told once only, holds for all time; others are interpolated between the stamps they
 //! are told for, and never beyond.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use dataset::{Pose2, StampedPose};
 use messages::Transform;
@@ -30,6 +30,8 @@ struct Told {
     /// In the order of the log.
     samples: Vec<(i64, Rigid)>,
     is_static: bool,
+    /// How far it has moved so far: metres, and radians as if they were metres.
+    path: f64,
 }
 
 /// The transforms of a log.
@@ -38,6 +40,8 @@ pub(crate) struct FrameGraph {
     told: BTreeMap<Edge, Told>,
     /// Whether it has been cut down to the transforms that are needed.
     is_cut: bool,
+    /// Frames on the way that are told in another frame too: child, parent taken, other parent.
+    forks: BTreeSet<(String, String, String)>,
 }
 
 /// The transforms from the parent to the child, each with whether it is taken backwards.
@@ -54,34 +58,46 @@ impl FrameGraph {
         let told = self.told.entry(edge).or_default();
         told.is_static |= is_static;
         let rigid = Rigid { translation: transform.translation, rotation };
-        if told.is_static {
-            // The last one told holds.
-            told.samples.clear();
-        }
-        told.samples.push((transform.stamp_ns, rigid));
+        told.push(vec![(transform.stamp_ns, rigid)]);
         Ok(())
     }
 
     /// Adds what is told later in the log.
     pub(crate) fn extend(&mut self, later: Self) {
-        for (edge, mut told) in later.told {
+        for (edge, told) in later.told {
             if self.is_cut && !self.told.contains_key(&edge) {
+                self.note_fork(&edge);
                 continue;
             }
             let all = self.told.entry(edge).or_default();
             all.is_static |= told.is_static;
-            if all.is_static {
-                all.samples.clear();
-            }
-            all.samples.append(&mut told.samples);
+            all.push(told.samples);
         }
+    }
+
+    /// Remembers a transform that leads to a frame on the way from another parent.
+    fn note_fork(&mut self, (parent, child): &Edge) {
+        let taken = self.told.keys().filter(|(_, other)| other == child);
+        let forks = taken.map(|(taken, _)| (child.clone(), taken.clone(), parent.clone()));
+        let forks: Vec<_> = forks.collect();
+        self.forks.extend(forks);
+    }
+
+    /// Frames on the way that have two parents, in a line each.
+    pub(crate) fn forks(&self) -> impl Iterator<Item = String> {
+        self.forks.iter().map(|(child, taken, other)| {
+            format!("frame `{child}` is told in `{taken}` and in `{other}`: that in `{taken}` was taken; name another `parent` in `ingest.pose.frames` to take the other")
+        })
     }
 
     /// Forgets, once there is a way between the frames, all that is not on it: memory holds the
     /// transforms that are needed, however many there are.
     pub(crate) fn cut_down(&mut self, parent: &str, child: &str) {
         if let (false, Some(way)) = (self.is_cut, self.way(parent, child)) {
+            let mut others: Vec<Edge> = self.told.keys().cloned().collect();
+            others.retain(|edge| way.iter().all(|(of_way, _)| of_way != edge));
             self.told.retain(|edge, _| way.iter().any(|(other, _)| other == edge));
+            others.iter().for_each(|edge| self.note_fork(edge));
             self.is_cut = true;
         }
     }
@@ -131,11 +147,14 @@ impl FrameGraph {
     }
 
     /// Poses of the child in the parent, at the stamps of the transform between them that is told
-    /// most often, and how many stamps another transform does not reach.
+    /// most often, and how many stamps another transform does not reach, or has a gap around.
+    ///
+    /// A child whose z axis points down is refused unless that is meant.
     pub(crate) fn poses(
         &self,
         parent: &str,
         child: &str,
+        upside_down: bool,
     ) -> Result<(Vec<StampedPose>, u64), NoWay> {
         let way = self.way(parent, child).ok_or(NoWay::Unconnected)?;
         let fastest = self.fastest(&way).ok_or(NoWay::Still)?;
@@ -147,25 +166,40 @@ impl FrameGraph {
                 samples
             })
             .collect();
-        let mut n_beyond = 0;
+        let (mut n_beyond, mut n_down) = (0, 0);
         let mut poses = Vec::with_capacity(sorted[fastest].len());
         for &(stamp_ns, _) in &sorted[fastest] {
-            match chain(&way, sorted.iter().map(|samples| at(samples, stamp_ns))) {
-                Some(rigid) => poses.push(StampedPose::new(stamp_ns, rigid.planar())),
+            let rigids = sorted.iter().map(|samples| match is_in_gap(samples, stamp_ns) {
+                true => None,
+                false => at(samples, stamp_ns),
+            });
+            match chain(&way, rigids) {
+                Some(rigid) => {
+                    n_down += usize::from(rigid.points_down());
+                    poses.push(StampedPose::new(stamp_ns, rigid.planar()));
+                }
                 None => n_beyond += 1,
             }
+        }
+        if !upside_down && poses.len() < 2 * n_down {
+            return Err(NoWay::UpsideDown);
         }
         Ok((poses, n_beyond))
     }
 
     /// How the child moves, told while the log is being read: its poses after a stamp, up to where all
-    /// transforms that are told steadily have come. One that is told now and then, as a correction of
-    /// the map is, holds until it is told anew: only motion within moments counts.
+    /// transforms that are told steadily have come, in the frame before the transform that has moved
+    /// most. What lies before that one, as a correction of the map does, does not move the child.
     pub(crate) fn motion(&self, parent: &str, child: &str, after_ns: i64) -> Vec<StampedPose> {
-        let Some(way) = self.way(parent, child) else { return Vec::new() };
+        let Some(mut way) = self.way(parent, child) else { return Vec::new() };
+        let path = |k: &usize| self.told[&way[*k].0].path;
+        // Of those that have moved as far, the one that is nearest to the child.
+        let moving = (0..way.len()).max_by(|a, b| path(a).total_cmp(&path(b)));
+        way.drain(..moving.unwrap_or(0));
         let Some(fastest) = self.fastest(&way) else { return Vec::new() };
         let told: Vec<&Told> = way.iter().map(|(edge, _)| &self.told[edge]).collect();
-        let newest = told.iter().filter(|told| told.is_steady()).map(|told| told.newest_ns());
+        let newest =
+            told.iter().filter(|told| is_steady(&told.samples)).map(|told| told.newest_ns());
         let Some(until_ns) = newest.min() else { return Vec::new() };
         let stamps = told[fastest].samples.iter().rev().map(|(stamp_ns, _)| *stamp_ns);
         let mut poses: Vec<StampedPose> = stamps
@@ -184,20 +218,49 @@ impl FrameGraph {
 /// Transforms told at least so often, on average, are told steadily \[ns\].
 const STEADY_NS: i64 = 1_000_000_000;
 
+/// Samples of a transform that is told steadily, so far apart, are a gap \[ns\].
+const GAP_NS: i64 = 2_000_000_000;
+
+fn is_steady(samples: &[(i64, Rigid)]) -> bool {
+    let n = samples.len() as i64;
+    let [(first_ns, _), .., (last_ns, _)] = samples else { return false };
+    last_ns.saturating_sub(*first_ns) / (n - 1) <= STEADY_NS
+}
+
+/// Whether a transform that is told steadily, its samples in order of time, was silent around a
+/// stamp.
+fn is_in_gap(samples: &[(i64, Rigid)], stamp_ns: i64) -> bool {
+    let after = samples.partition_point(|(ns, _)| *ns < stamp_ns);
+    match (after.checked_sub(1).and_then(|k| samples.get(k)), samples.get(after)) {
+        (Some((before_ns, _)), Some((after_ns, _))) => {
+            *after_ns != stamp_ns
+                && GAP_NS < after_ns.saturating_sub(*before_ns)
+                && is_steady(samples)
+        }
+        _ => false,
+    }
+}
+
 impl Told {
+    /// Adds what is told next; of what holds for all time the last one told does.
+    fn push(&mut self, next: Vec<(i64, Rigid)>) {
+        for (stamp_ns, rigid) in next {
+            if self.is_static {
+                self.samples.clear();
+            } else if let Some((_, last)) = self.samples.last() {
+                self.path += last.step_to(&rigid);
+            }
+            self.samples.push((stamp_ns, rigid));
+        }
+    }
+
     fn newest_ns(&self) -> i64 {
         self.samples.last().map_or(i64::MIN, |(stamp_ns, _)| *stamp_ns)
     }
 
-    fn is_steady(&self) -> bool {
-        let n = self.samples.len() as i64;
-        let first_ns = self.samples.first().map_or(0, |(stamp_ns, _)| *stamp_ns);
-        1 < n && self.newest_ns().saturating_sub(first_ns) / (n - 1) <= STEADY_NS
-    }
-
     /// The transform at a stamp, or, where it is not told steadily, the last one before.
     fn around(&self, stamp_ns: i64) -> Option<Rigid> {
-        if self.is_steady() {
+        if is_steady(&self.samples) {
             return at(&self.samples, stamp_ns);
         }
         let after = self.samples.partition_point(|(ns, _)| *ns <= stamp_ns);
@@ -220,6 +283,8 @@ pub(crate) enum NoWay {
     Unconnected,
     /// All that lead there hold for all time.
     Still,
+    /// The z axis of the child points down.
+    UpsideDown,
 }
 
 /// Without the slash that ROS 1 allowed in front.
@@ -261,6 +326,17 @@ impl Rigid {
         Self { translation: rotate(rotation, self.translation).map(|v| -v), rotation }
     }
 
+    /// How far another is: metres, and radians as if they were metres. The rotation by twice the
+    /// chord between the quaternions, as for small angles.
+    fn step_to(&self, other: &Self) -> f64 {
+        let apart = |sign: f64, a: &[f64], b: &[f64]| -> f64 {
+            a.iter().zip(b).map(|(a, b)| (a - sign * b).powi(2)).sum::<f64>().sqrt()
+        };
+        let (a, b) = (&self.rotation, &other.rotation);
+        apart(1.0, &self.translation, &other.translation)
+            + 2.0 * apart(1.0, a, b).min(apart(-1.0, a, b))
+    }
+
     /// Part of the way to another: the translation linear, the rotation along the shorter arc, the
     /// quaternion's chord normalised, which at half of 0.1 rad is exact and elsewhere within
     /// 1e-5 rad of a steady turn.
@@ -275,6 +351,12 @@ impl Rigid {
             translation: std::array::from_fn(|k| a[k] + share * (b[k] - a[k])),
             rotation: sum.map(|v| v / norm),
         }
+    }
+
+    /// Whether its z axis is below the horizon: entry (3, 3) of the rotation matrix.
+    fn points_down(&self) -> bool {
+        let [x, y, _, _] = self.rotation;
+        1.0 - 2.0 * (x * x + y * y) < 0.0
     }
 
     fn planar(&self) -> Pose2 {
@@ -345,7 +427,7 @@ mod tests {
     /// deg; the lidar 1 m ahead of it, whatever it is rolled by.
     #[test]
     fn transforms_are_chained_interpolated_and_never_beyond() {
-        let (poses, n_beyond) = graph().poses("map", "lidar").unwrap();
+        let (poses, n_beyond) = graph().poses("map", "lidar", true).unwrap();
         assert_eq!(poses.iter().map(|p| p.stamp_ns).collect::<Vec<_>>(), [0, 10, 20]);
         assert_eq!(n_beyond, 2, "-10 and 110 are beyond map -> odom");
         let at_10 = poses[1].pose;
@@ -354,7 +436,7 @@ mod tests {
         assert!((at_10.x_m - (10.0 + heading.cos())).abs() < 1e-12);
         assert!((at_10.y_m - (12.0 + heading.sin())).abs() < 1e-12);
         // Backwards: where the map is for the lidar; there again it is the identity.
-        let (back, _) = graph().poses("/lidar", "map").unwrap();
+        let (back, _) = graph().poses("/lidar", "map", true).unwrap();
         let back = back[1].pose;
         // Seen from a lidar upside down, left is right.
         let (sin, cos) = heading.sin_cos();
@@ -392,35 +474,70 @@ mod tests {
         parts.cut_down("map", "lidar");
         parts.extend(graph());
         assert_eq!(parts, whole);
-        let (poses, _) = whole.poses("map", "lidar").unwrap();
-        let (expected, _) = graph().poses("map", "lidar").unwrap();
+        let (poses, _) = whole.poses("map", "lidar", true).unwrap();
+        let (expected, _) = graph().poses("map", "lidar", true).unwrap();
         assert_eq!(poses.iter().step_by(2).copied().collect::<Vec<_>>(), expected);
     }
 
-    /// Up to 20, where odom -> base has come: 110 lies beyond map -> odom. A correction of the map
-    /// that is told once in a while holds until it is told anew, though it is told after that.
+    /// odom -> base moves most: how the map is corrected does not count.
     #[test]
     fn motion_is_told_up_to_where_all_transforms_have_come() {
         let motion = graph().motion("map", "lidar", i64::MIN);
-        let (expected, _) = graph().poses("map", "lidar").unwrap();
-        assert_eq!(motion, expected);
-        assert_eq!(graph().motion("map", "lidar", 0), expected[1..]);
-        assert_eq!(graph().motion("map", "wheel", 0), vec![]);
-        let mut corrected = graph();
-        let late = 100_000_000_000;
-        let moved = transform(("map", "odom"), late, [0.0; 3], rotation(0.0, 0.0));
-        corrected.add(&moved, false).unwrap();
-        let motion = corrected.motion("map", "lidar", i64::MIN);
         assert_eq!(motion.iter().map(|p| p.stamp_ns).collect::<Vec<_>>(), [-10, 0, 10, 20, 110]);
-        for (found, expected) in motion[1..4].iter().zip(&expected) {
-            assert!(found.pose.distance_m(&expected.pose) < 1e-12);
+        let (in_odom, _) = graph().poses("odom", "lidar", true).unwrap();
+        assert_eq!(motion, in_odom);
+        assert_eq!(graph().motion("map", "lidar", 0), in_odom[2..]);
+        assert_eq!(graph().motion("map", "wheel", 0), vec![]);
+        // A fixed joint that is told more often than the robot moves, and a jump of the map.
+        let mut told = graph();
+        for t in 0..40 {
+            let names = ("lidar", "optical");
+            told.add(&transform(names, t, [0.0; 3], rotation(0.0, 0.0)), false).unwrap();
         }
+        told.add(&transform(("map", "odom"), 50, [9.0, 5.0, 0.0], rotation(0.1, 0.0)), false)
+            .unwrap();
+        let motion = told.motion("map", "optical", i64::MIN);
+        assert_eq!(motion.len(), 40);
+        assert_eq!(motion[10].stamp_ns, 10);
+        assert!(motion[10].pose.distance_m(&in_odom[2].pose) < 1e-12);
+    }
+
+    /// map -> odom is told at 10 Hz, but not from 1 to 4 s; what odom -> base says then is no pose.
+    #[test]
+    fn a_transform_that_falls_silent_leaves_a_gap() {
+        let mut graph = FrameGraph::default();
+        let mut add = |names, ms: i64, x_m| {
+            let told = transform(names, ms * 1_000_000, [x_m, 0.0, 0.0], rotation(0.0, 0.0));
+            graph.add(&told, false).unwrap();
+        };
+        for ms in (0..=5000).step_by(20) {
+            add(("odom", "base"), ms, 1e-3 * ms as f64);
+        }
+        for ms in (0..=1000).step_by(100).chain((4000..=5000).step_by(100)) {
+            add(("map", "odom"), ms, 0.0);
+        }
+        let (poses, n_beyond) = graph.poses("map", "base", false).unwrap();
+        assert_eq!((poses.len(), n_beyond), (2 * 51, 149));
+    }
+
+    #[test]
+    fn two_parents_and_a_lidar_upside_down_are_told() {
+        assert_eq!(graph().poses("map", "lidar", false), Err(NoWay::UpsideDown));
+        let mut forked = graph();
+        let other = transform(("gps", "base"), 0, [50.0, 0.0, 0.0], rotation(0.0, 0.0));
+        forked.cut_down("map", "lidar");
+        assert_eq!(forked.forks().count(), 0);
+        let mut later = FrameGraph::default();
+        later.add(&other, false).unwrap();
+        forked.extend(later);
+        let told: Vec<String> = forked.forks().collect();
+        assert!(told[0].starts_with("frame `base` is told in `odom` and in `gps`"), "{told:?}");
     }
 
     #[test]
     fn without_a_way_or_motion_there_are_no_poses() {
-        assert_eq!(graph().poses("map", "wheel"), Err(NoWay::Unconnected));
-        assert_eq!(graph().poses("mast", "lidar"), Err(NoWay::Still));
+        assert_eq!(graph().poses("map", "wheel", true), Err(NoWay::Unconnected));
+        assert_eq!(graph().poses("mast", "lidar", true), Err(NoWay::Still));
         assert_eq!(graph().names(), ["base", "lidar", "map", "mast", "odom"]);
         let mut graph = graph();
         let bad = transform(("a", "b"), 0, [0.0; 3], [0.0; 4]);

@@ -221,7 +221,8 @@ impl Joiner {
         let mount = self.options.lidar.mount.map_or(Pose2::default(), |mount| mount.pose());
         let trajectory = match (pose, &self.options.pose) {
             (Some(topics), Some(options)) => {
-                let from = PosesFrom { path, topics, options, mount };
+                let upside_down = self.options.lidar.upside_down;
+                let from = PosesFrom { path, topics, options, mount, upside_down };
                 self.motion.trajectory(&from, dropped, &mut notes)?
             }
             _ => Trajectory::default(),

@@ -221,9 +221,10 @@ impl Motion {
             (PoseTopics::Frames(_), Some(frames)) => {
                 let (poses, n_beyond) = self
                     .frames
-                    .poses(&frames.parent, &frames.child)
+                    .poses(&frames.parent, &frames.child, from.upside_down)
                     .map_err(|why| from.no_frames(why, frames, &self.frames))?;
-                let reason = "poses at stamps that another transform on the way does not reach";
+                notes.extend(self.frames.forks());
+                let reason = "poses at stamps that another transform on the way does not reach, or is silent around";
                 dropped.add(reason, n_beyond);
                 poses
             }
@@ -292,6 +293,8 @@ pub(crate) struct PosesFrom<'a> {
     pub(crate) options: &'a PoseOptions,
     /// `base_from_lidar`
     pub(crate) mount: Pose2,
+    /// Whether the lidar is known to hang.
+    pub(crate) upside_down: bool,
 }
 
 impl PosesFrom<'_> {
@@ -313,6 +316,9 @@ impl PosesFrom<'_> {
             why: match why {
                 NoWay::Unconnected => "no transforms lead from one to the other",
                 NoWay::Still => "none of the transforms between them moves",
+                NoWay::UpsideDown => {
+                    "its z axis points down: if that is the lidar's frame, set `ingest.lidar.upside_down = true`, and if not, name the robot's frame"
+                }
             },
             found: match names.as_slice() {
                 [] => "the log has no transform that can be read".to_owned(),

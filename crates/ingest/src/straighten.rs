@@ -103,7 +103,7 @@ impl Straightener {
             return (!self.is_wanted).then(|| told.to_owned());
         }
         let why = [
-            (self.n_unknown, "the motion around them is not known at least every 0.25 s"),
+            (self.n_unknown, "the motion around them is not known at least every 0.25 s, or jumps"),
             (self.n_untimed, "their messages do not tell the times of the returns"),
         ];
         let told = why

@@ -301,11 +301,12 @@ impl Config {
         if let Some(simulate) = &self.simulate {
             simulate.check().context("[simulate]")?;
         }
-        if !(1..=MAX_ROUNDS).contains(&self.train.rounds) {
-            return Err(anyhow!(
-                "`train.rounds` is {}, expected 1 to {MAX_ROUNDS}",
-                self.train.rounds
-            ));
+        for (key, rounds) in
+            [("rounds", self.train.rounds), ("tree_rounds", self.train.tree_rounds)]
+        {
+            if !(1..=MAX_ROUNDS).contains(&rounds) {
+                return Err(anyhow!("`train.{key}` is {rounds}, expected 1 to {MAX_ROUNDS}"));
+            }
         }
         if self.train.learners.is_empty() {
             return Err(anyhow!("`train.learners` is empty, expected at least one learner"));

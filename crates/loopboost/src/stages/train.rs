@@ -114,11 +114,15 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
         let Some(boosting) = fitted.learner.boosting() else { continue };
         let model = model_of(options, fitted, boosting, &data, &context);
         let folder = model::save(&run.path("models"), &model)?;
-        let error = model.measured.first().map_or(f64::NAN, |m| m.error * 100.0);
+        let errors = model
+            .measured
+            .iter()
+            .map(|measured| format!("{:.1} % by {}", measured.error * 100.0, measured.grouping));
         done.said.push(format!(
-            "{} {}: error {error:.1} % at T = {}",
+            "{} {}: error {} at T = {}",
             model.name,
             folder.version,
+            errors.collect::<Vec<_>>().join(", "),
             options.train.rounds_of(fitted.learner)
         ));
         done.outputs.extend(folder.files);
