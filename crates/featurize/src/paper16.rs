@@ -101,11 +101,13 @@ impl Paper16 {
         let n_breaks = m - count(&self.steps_m, |d| d <= gate_m);
         let groups = if is_ring { n_breaks.max(1) } else { n_breaks + 1 } as f64;
         let close = |d: f64, value: f64| if d <= gate_m { value } else { 0.0 };
-        let [close_area, close_distance, distance, angles] =
-            sums([&self.steps_m, &self.crosses, &self.angles_rad], |[d, cross, angle]| {
-                [close(d, 0.5 * cross), close(d, d), d, angle]
-            });
-        let regularity = sample_std(&self.steps_m);
+        let steps = [&self.steps_m[..]];
+        let [close_area] =
+            sums([&self.steps_m, &self.crosses], |[d, cross]| [close(d, 0.5 * cross)]);
+        let [close_distance] = sums(steps, |[d]| [close(d, d)]);
+        let [distance] = sums(steps, |d| d);
+        let [angles] = sums([&self.angles_rad], |angle| angle);
+        let regularity = sample_std(&self.steps_m, distance);
 
         let points = [&self.x[..n_points], &self.y[..n_points]];
         let scratch = &mut self.scratch;
@@ -114,9 +116,11 @@ impl Paper16 {
         let [circle_residual] = sums([scratch], |[off]| [off * off]);
         let [mx, my] = mu;
         fill(scratch, points, |[x, y]| length(x - mx, y - my));
-        let std_of_mean = sample_std(scratch);
+        let [sum] = sums([scratch], |off| off);
+        let std_of_mean = sample_std(scratch, sum);
         fill(scratch, points, |[x, y]| length(x, y));
-        let std_of_ranges = sample_std(scratch);
+        let [sum] = sums([scratch], |r| r);
+        let std_of_ranges = sample_std(scratch, sum);
 
         let curvature = match curvature_stride(&self.angles_rad, &mut self.scratch) {
             Some(stride) => self.menger_curvatures(n_points, is_ring, stride),
@@ -185,11 +189,15 @@ impl Paper16 {
     /// asked only where the determinant leaves a doubt.
     #[inline(always)]
     fn fit_circle(&self, scan: &Scan, mu: [f64; 2]) -> Result<Circle, Unusable> {
-        let [suu, suv, svv, bu, bv] = sums([&self.x, &self.y], |[x, y]| {
-            let (u, v) = (x - mu[0], y - mu[1]);
-            let square = u * u + v * v;
-            [u * u, u * v, v * v, u * square, v * square]
-        });
+        // One sum after another: each runs on vectors, five at once would not.
+        let points = [&self.x[..], &self.y[..]];
+        let about = |[x, y]: [f64; 2]| (x - mu[0], y - mu[1]);
+        let [suu] = sums(points, |p| [about(p).0 * about(p).0]);
+        let [suv] = sums(points, |p| [about(p).0 * about(p).1]);
+        let [svv] = sums(points, |p| [about(p).1 * about(p).1]);
+        let square = |p: [f64; 2]| square(about(p).0, about(p).1);
+        let [bu] = sums(points, |p| [about(p).0 * square(p)]);
+        let [bv] = sums(points, |p| [about(p).1 * square(p)]);
         let (det, trace) = (suu * svv - suv * suv, suu + svv);
         let is_clear = det.is_finite() && CLEARLY_NO_LINE * trace * trace < det;
         if !is_clear {
@@ -236,17 +244,17 @@ impl Paper16 {
             if within(a2) & within(b2) & within(c2) { curvature } else { NO_CURVATURE }
         });
         let is_one = |v: f64| 0.0 <= v;
-        let n_within = count(scratch, is_one);
-        if n_within == 0 {
+        let [n_within, sum] =
+            sums([scratch], |[v]| [f64::from(is_one(v)), if is_one(v) { v } else { 0.0 }]);
+        if n_within < 1.0 {
             return MeanStd { mean: 0.0, std: 0.0 };
         }
-        let [sum] = sums([scratch], |[v]| [if is_one(v) { v } else { 0.0 }]);
-        let mean = sum / n_within as f64;
+        let mean = sum / n_within;
         let [squares] = sums([scratch], |[v]| {
             let off = if is_one(v) { v - mean } else { 0.0 };
             [off * off]
         });
-        let std = if n_within < 2 { 0.0 } else { (squares / (n_within as f64 - 1.0)).sqrt() };
+        let std = if n_within < 2.0 { 0.0 } else { (squares / (n_within - 1.0)).sqrt() };
         MeanStd { mean, std }
     }
 }
@@ -284,13 +292,14 @@ fn length(dx: f64, dy: f64) -> f64 {
     square(dx, dy).sqrt()
 }
 
-/// Square root of the sum of squared deviations over count - 1; 0 for fewer than 2 values.
+/// Square root of the sum of squared deviations over count - 1, of values whose sum is known; 0 for
+/// fewer than 2.
 #[inline(always)]
-fn sample_std(values: &[f64]) -> f64 {
+fn sample_std(values: &[f64], sum: f64) -> f64 {
     if values.len() < 2 {
         return 0.0;
     }
-    (deviations(values) / (values.len() as f64 - 1.0)).sqrt()
+    (deviations(values, sum) / (values.len() as f64 - 1.0)).sqrt()
 }
 
 struct Circle {
