@@ -14,7 +14,8 @@ pub(crate) struct Fit<'a> {
     /// Wheels and an imu that poses could be made of, where there are none or the track is given.
     wheels: Option<(&'a TopicSurvey, Option<&'a TopicSurvey>)>,
     track_m: Option<f64>,
-    has_transforms: bool,
+    /// Two frames that transforms lead between, where there are no poses.
+    frames: Option<FramesFit>,
     /// A topic of packets that give no whole turn.
     lidar_without_turn: Option<&'a TopicSurvey>,
 }
@@ -50,15 +51,14 @@ impl<'a> Fit<'a> {
         let wheels = ingest::WHEEL_TYPES.iter().find_map(|of| most(&[*of]));
         let imu = most(&ingest::IMU_TYPES);
         let is_wanted = pose.is_none() || track_m.is_some();
+        let frames = FramesFit::of(survey).filter(|_| pose.is_none() && track_m.is_none());
         Self {
             // Of equals the first, by name.
             lidar: lidars.rev().max_by_key(|topic| (rank(topic), topic.n_messages)),
             pose: pose.filter(|_| track_m.is_none() || wheels.is_none()),
-            wheels: wheels.filter(|_| is_wanted).map(|wheels| (wheels, imu)),
+            wheels: wheels.filter(|_| is_wanted && frames.is_none()).map(|wheels| (wheels, imu)),
             track_m,
-            has_transforms: survey.topics.iter().any(
-                |topic| matches!(&topic.content, Content::Transforms(told) if !told.is_empty()),
-            ),
+            frames,
             lidar_without_turn: survey.topics.iter().find(
                 |topic| matches!(&topic.content, Content::Packets(packets) if packets.n_turns == 0),
             ),
@@ -78,7 +78,7 @@ impl<'a> Fit<'a> {
                 "the distance between the wheels of {}, of which poses can be made: measure it and give it with --track-m",
                 wheels.topic
             ));
-        } else if self.pose.is_none() && self.wheels.is_none() {
+        } else if self.pose.is_none() && self.wheels.is_none() && self.frames.is_none() {
             let names = ingest::POSE_TYPES.map(MessageType::name).join(", ");
             missing.push(format!(
                 "a topic with poses that move, one of {names}: scans can be ingested, but not labelled"
@@ -88,7 +88,9 @@ impl<'a> Fit<'a> {
     }
 
     pub(crate) fn has_poses(&self) -> bool {
-        self.pose.is_some() || (self.wheels.is_some() && self.track_m.is_some())
+        self.pose.is_some()
+            || self.frames.is_some()
+            || (self.wheels.is_some() && self.track_m.is_some())
     }
 
     /// The pipeline file; the log's path is relative to the folder `from`, where one is given.
@@ -124,15 +126,16 @@ impl<'a> Fit<'a> {
                     )?,
                 }
             }
-            (None, None) => writeln!(
-                text,
-                "# pose.topic = \"...\": the log has no poses, so that its scans cannot be labelled{}",
-                match self.has_transforms {
-                    true =>
-                        "\n# unless its transforms lead to the lidar: pose.frames = { parent = \"map\", child = \"velodyne\" }",
-                    false => "",
-                }
-            )?,
+            (None, None) => match &self.frames {
+                Some(FramesFit { parent, child, topics }) => writeln!(
+                    text,
+                    "\n[ingest.pose.frames]\nparent = {parent:?}\nchild = {child:?}\ntopics = {topics:?}"
+                )?,
+                None => writeln!(
+                    text,
+                    "# pose.topic = \"...\": the log has no poses, so that its scans cannot be labelled"
+                )?,
+            },
         }
         writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;
         match &lidar.content {
@@ -172,6 +175,55 @@ impl<'a> Fit<'a> {
     }
 }
 
+/// Frames between which transforms lead.
+struct FramesFit {
+    parent: String,
+    child: String,
+    topics: Vec<String>,
+}
+
+impl FramesFit {
+    /// From a frame of a map (REP 105) that nothing places, or else of odometry, to that of the
+    /// lidar, or else of the robot.
+    fn of(survey: &Survey) -> Option<Self> {
+        let of_topic = |topic: &'_ TopicSurvey| match &topic.content {
+            Content::Transforms(told) => told.clone(),
+            _ => Vec::new(),
+        };
+        let told: Vec<_> = survey.topics.iter().flat_map(of_topic).collect();
+        let bare = |frame: &str| frame.trim_start_matches('/').to_owned();
+        let ends_with = |frame: &str, name: &str| {
+            frame
+                .strip_suffix(name)
+                .is_some_and(|before| before.is_empty() || before.ends_with('/'))
+        };
+        let is_root = |frame: &str| told.iter().all(|t| bare(&t.child) != frame);
+        let mut roots: Vec<String> = told.iter().map(|t| bare(&t.parent)).collect();
+        roots.retain(|frame| is_root(frame));
+        let parent = ["map", "world", "odom"]
+            .into_iter()
+            .find_map(|name| roots.iter().find(|frame| ends_with(frame, name)))?
+            .clone();
+        // What hangs on it, nearest first.
+        let mut below = vec![parent.clone()];
+        let mut k = 0;
+        while let Some(frame) = below.get(k).cloned() {
+            let children = told.iter().filter(|t| bare(&t.parent) == frame).map(|t| bare(&t.child));
+            let new: Vec<_> = children.filter(|child| !below.contains(child)).collect();
+            below.extend(new);
+            k += 1;
+        }
+        let named = |names: &[&str]| {
+            below[1..].iter().find(|frame| names.iter().any(|name| frame.contains(name)))
+        };
+        let child =
+            named(&["velodyne", "lidar", "laser"]).or_else(|| named(&["base_link", "base"]))?;
+        let has_told = |topic: &&TopicSurvey| !of_topic(topic).is_empty();
+        let topics = survey.topics.iter().filter(has_told).map(|topic| topic.topic.clone());
+        Some(Self { parent, child: child.clone(), topics: topics.collect() })
+    }
+}
+
 /// A path as seen from a folder; both are absolute.
 fn relative(path: &Path, folder: &Path) -> PathBuf {
     let shared = path.components().zip(folder.components()).take_while(|(a, b)| a == b).count();
@@ -184,6 +236,7 @@ fn relative(path: &Path, folder: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ingest::TransformSurvey;
 
     fn topic(name: &str, schema: &str, n_messages: u64, content: Content) -> TopicSurvey {
         let (topic, schema, encoding) = (name.to_owned(), schema.to_owned(), "cdr".to_owned());
@@ -191,6 +244,28 @@ mod tests {
     }
 
     /// A log without poses: its wheels and imu make some, once the track is given.
+    #[test]
+    fn transforms_lead_from_the_map_to_the_lidar() {
+        let told = |parent: &str, child: &str| TransformSurvey {
+            parent: parent.to_owned(),
+            child: child.to_owned(),
+            n_told: 9,
+        };
+        let moving = Content::Transforms(vec![told("/map", "odom"), told("odom", "base_link")]);
+        let fixed =
+            Content::Transforms(vec![told("base_link", "mast"), told("mast", "velodyne_top")]);
+        let of = |topics: Vec<TopicSurvey>| Survey { topics, ..Survey::default() };
+        let tf = |name: &str, content| topic(name, "tf2_msgs/msg/TFMessage", 9, content);
+        let survey = of(vec![tf("/tf", moving.clone()), tf("/tf_static", fixed.clone())]);
+        let fit = FramesFit::of(&survey).unwrap();
+        assert_eq!((&*fit.parent, &*fit.child), ("map", "velodyne_top"));
+        assert_eq!(fit.topics, ["/tf", "/tf_static"]);
+        let fit = FramesFit::of(&of(vec![tf("/tf", moving)])).unwrap();
+        assert_eq!(fit.child, "base_link");
+        // The joints of a robot alone lead nowhere.
+        assert!(FramesFit::of(&of(vec![tf("/tf_static", fixed)])).is_none());
+    }
+
     #[test]
     fn wheels_and_imu_stand_in_for_poses() {
         let scans = ingest::ScansSurvey { coverage_deg: 360.0, ..Default::default() };
