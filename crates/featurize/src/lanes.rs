@@ -1,6 +1,6 @@
-//! Columns computed from columns, in loops that run on vectors, and sums in lanes: value k goes to lane k modulo [`LANES`], and the lanes are added in
-//! their order. That order is fixed, so that the bits are the same everywhere, and additions need
-//! not wait for one another.
+//! Columns computed from columns, in loops that run on vectors, and sums in lanes: value k goes to
+//! lane k modulo [`LANES`], and the lanes are added in their order. That order is fixed, so that the
+//! bits are the same everywhere, and additions need not wait for one another.
 
 use std::array::from_fn;
 

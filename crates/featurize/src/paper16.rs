@@ -354,3 +354,32 @@ fn median(values: &mut [f64]) -> f64 {
     let lower = below.iter().copied().max_by(f64::total_cmp).unwrap_or(upper);
     0.5 * (lower + upper)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rooms of any number of returns, with people and gaps; on a processor without AVX2 both are
+    /// the same by themselves.
+    #[test]
+    fn wider_vectors_give_the_same_bits() {
+        let mut features = Paper16::new(2.5);
+        for n in 3..200u32 {
+            let at = |k: u32| {
+                let angle = f64::from(k) * std::f64::consts::TAU / f64::from(n);
+                let range =
+                    3.0 + f64::from(k * k * 7919 % 101) * if k % 5 < 2 { 0.1 } else { 0.001 };
+                (range * libm::cos(angle), range * libm::sin(angle))
+            };
+            let scan = Scan {
+                x_m: (0..n).map(|k| at(k).0 as f32).collect(),
+                y_m: (0..n).map(|k| at(k).1 as f32).collect(),
+                coverage_deg: if n % 2 == 0 { 359.0 } else { 180.0 },
+                ..Scan::default()
+            };
+            let [wide, plain] = [features.features(&scan), features.compute(&scan)]
+                .map(|found| found.unwrap().map(f64::to_bits));
+            assert_eq!(wide, plain, "{n} returns");
+        }
+    }
+}

@@ -24,7 +24,7 @@ pub(crate) struct InspectArgs {
     /// Draw the path that the pipeline gives: poses, how well they are known, and the scans kept
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
-    /// Make the poses of wheels that are this far apart [m] and of the imu, even where the log has
+    /// Make the poses of wheels that are this far apart, in m, and of the imu, even where the log has
     /// poses
     #[arg(long, value_name = "METRES")]
     track_m: Option<f64>,
