@@ -191,6 +191,8 @@ fn options(config: &Config) -> Result<Vec<Fact>> {
     Ok(vec![
         fact("program", format!("loopboost {}", env!("CARGO_PKG_VERSION"))),
         fact("seed", config.seed.to_string()),
+        fact("ingest.lidar", serde_json::to_string(&config.ingest.lidar)?),
+        fact("ingest.pose", serde_json::to_string(&config.ingest.pose)?),
         fact("subsample", serde_json::to_string(&config.subsample)?),
         fact("label", serde_json::to_string(&config.label)?),
         fact("featurize", serde_json::to_string(&config.featurize)?),
