@@ -7,7 +7,7 @@
 mod baseline;
 mod cross_validate;
 mod discrete;
-mod feature_report;
+mod feature_auc;
 mod gentle;
 mod gentle_line;
 mod gentle_stump;
@@ -20,7 +20,7 @@ use model::{Classifier, WeakLearner};
 use serde::{Deserialize, Serialize};
 
 pub use cross_validate::{CrossValidated, FoldError, FoldFit, Folded, cross_validate, fit_without};
-pub use feature_report::{FeatureEvidence, feature_report};
+pub use feature_auc::feature_auc;
 pub use matrix::Matrix;
 
 /// The section `[train]`.

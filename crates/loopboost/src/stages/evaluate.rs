@@ -3,10 +3,10 @@ use std::collections::BTreeMap;
 use anyhow::{Context as _, Result};
 use dataset::tables::scans::{read_scan_headers, read_scans};
 use dataset::tables::{
-    FeatureTable, Provenance, TableError, read_features, read_grid, read_keyframes, read_pairs,
-    read_retrieval, read_rounds, read_scores, write_file,
+    Provenance, TableError, read_features, read_grid, read_keyframes, read_pairs, read_retrieval,
+    read_rounds, read_scores, write_file,
 };
-use dataset::{BoostingRound, Dropped, Keyframe, Pair, Scan};
+use dataset::{Dropped, Keyframe, Scan};
 use evaluate::{Evaluation, Fact, FeatureRow, Input, Sketches};
 
 use crate::config::Config;
@@ -64,12 +64,11 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     }
     facts.extend(options(&run.config)?);
 
-    let feature_rows = feature_rows(run, &keyframes, &pairs, &features, &rounds)?;
     let input = Input {
         keyframes: &keyframes,
         pairs: &pairs,
         features: &features,
-        feature_rows: &feature_rows,
+        feature_rows: &[],
         scores: &scores,
         left_out: &left_out,
         rounds: &rounds,
@@ -80,7 +79,9 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         dropped: &dropped,
     };
     let evaluation = evaluate::evaluate(&input);
-    let sketches = sketches(run, &input, &evaluation)?;
+    let (sketches, thinned) = look_at_scans(run, &input, &evaluation)?;
+    let feature_rows = feature_rows(run, &input, &thinned);
+    let input = Input { feature_rows: &feature_rows, ..input };
     let figures = evaluate::figures(&input, &evaluation, &sketches);
     let mut done = Done { said: said(&evaluation), ..Done::default() };
     let folder = run.path("evaluation");
@@ -106,41 +107,38 @@ const THINNED_SCANS: usize = 1000;
 
 /// What each feature is worth by itself, how far it moves when scans are thinned, and how often the
 /// rounds of the models chose it.
-fn feature_rows(
-    run: &Run,
-    keyframes: &[Keyframe],
-    pairs: &[Pair],
-    features: &FeatureTable,
-    rounds: &[BoostingRound],
-) -> Result<Vec<FeatureRow>> {
-    let every = keyframes.len().div_ceil(THINNED_SCANS).max(1);
-    let mut scans = Vec::new();
-    each_scan(run, keyframes, |k, scan| {
-        if k.is_multiple_of(every) {
-            scans.push(scan.clone());
-        }
-    })?;
-    let stability = featurize::stability(&run.config.featurize, &scans);
-    let evidence = train::feature_report(&super::train::matrix(pairs, features), []);
+fn feature_rows(run: &Run, input: &Input<'_>, scans: &[Scan]) -> Vec<FeatureRow> {
+    let stability = featurize::stability(&run.config.featurize, scans);
+    let auc = train::feature_auc(&super::train::matrix(input.pairs, input.features));
     let chosen = |name: &String| {
-        rounds.iter().filter(|r| r.left_out.is_none() && r.feature == *name).count()
+        input.rounds.iter().filter(|r| r.left_out.is_none() && r.feature == *name).count()
     };
-    let rows = features.names.iter().zip(evidence.iter().zip(stability));
-    Ok(rows
-        .map(|(name, (evidence, stability))| FeatureRow {
-            name: name.clone(),
-            auc: evidence.auc,
-            stability,
-            chosen: chosen(name),
-        })
-        .collect())
+    let rows = input.features.names.iter().zip(auc.into_iter().zip(stability));
+    rows.map(|(name, (auc, stability))| FeatureRow {
+        name: name.clone(),
+        auc,
+        stability,
+        chosen: chosen(name),
+    })
+    .collect()
 }
 
-/// Hands the scans of all keyframes to the figures that are drawn of scans.
-fn sketches(run: &Run, input: &Input<'_>, evaluation: &Evaluation) -> Result<Sketches> {
+/// Hands the scans of all keyframes to the figures that are drawn of scans, and keeps some, evenly.
+fn look_at_scans(
+    run: &Run,
+    input: &Input<'_>,
+    evaluation: &Evaluation,
+) -> Result<(Sketches, Vec<Scan>)> {
     let mut sketches = Sketches::new(input, evaluation);
-    each_scan(run, input.keyframes, |k, scan| sketches.add(input, k, scan))?;
-    Ok(sketches)
+    let every = input.keyframes.len().div_ceil(THINNED_SCANS).max(1);
+    let mut kept = Vec::new();
+    each_scan(run, input.keyframes, |k, scan| {
+        sketches.add(input, k, scan);
+        if k.is_multiple_of(every) {
+            kept.push(scan.clone());
+        }
+    })?;
+    Ok((sketches, kept))
 }
 
 /// Reads the scans of all keyframes.
