@@ -1,0 +1,540 @@
+//! What a stage left out: coded, counted, and with a sentence for people.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::codes::codes;
+use crate::{Severity, Subject};
+
+codes! {
+    /// The kinds of data that are left out. `docs/messages.md` gives meaning, usual cause and
+    /// remedy of each.
+    #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+    pub enum LossKind (s) {
+        // The MCAP file.
+
+        /// The file ends without a footer.
+        Warning "truncated_file" TruncatedFile
+            => "end{s} of the file cut off (no footer: the recorder stopped early or the copy is incomplete)";
+        /// The summary section is damaged.
+        Warning "damaged_summary" DamagedSummary
+            => "damaged summary section{s} (the file was read without its index)";
+        /// The index of a chunk contradicts the data.
+        Warning "contradictory_index" ContradictoryIndex
+            => "chunk index{s} that the data contradict (the file was read without its index)";
+        /// Bytes between two chunks are not records.
+        Warning "bytes_between_chunks" BytesBetweenChunks
+            => "stretch{s} of bytes between chunks that are not records";
+        /// A record has an opcode that the format does not define.
+        Warning "unknown_records" UnknownRecords
+            => "record{s} of a kind that the MCAP format does not define";
+        /// A record does not parse.
+        Warning "malformed_records" MalformedRecords => "malformed record{s}";
+        /// A record that must not be inside a chunk.
+        Warning "misplaced_records" MisplacedRecords
+            => "record{s} of a kind that must not be in a chunk";
+        /// The header of a chunk does not parse.
+        Warning "malformed_chunks" MalformedChunks => "chunk{s} with a malformed header";
+        /// A chunk claims an impossible size.
+        Warning "oversized_chunks" OversizedChunks {
+            /// The largest size that is accepted.
+            max_bytes: u64,
+        } => "chunk{s} that claim more than {max_bytes} bytes";
+        /// A chunk of unknown compression.
+        Warning "chunks_of_unknown_compression" ChunksOfUnknownCompression {
+            /// The name in the header.
+            compression: String,
+        } => "chunk{s} with unknown compression `{compression}`";
+        /// The decompressed length differs from the header's.
+        Warning "chunk_length_mismatch" ChunkLengthMismatch
+            => "chunk{s} whose length contradicts their header";
+        /// The CRC of a chunk does not match.
+        Warning "chunk_crc_mismatch" ChunkCrcMismatch
+            => "chunk{s} whose CRC does not match (bytes were altered)";
+        /// A chunk does not decompress.
+        Warning "undecompressable_chunks" UndecompressableChunks => "chunk{s} that do not decompress";
+        /// A chunk ends within a record.
+        Warning "truncated_chunks" TruncatedChunks => "chunk{s} that end within a record";
+        /// A message belongs to a channel that the file does not define.
+        Warning "undefined_channel" UndefinedChannel
+            => "message{s} of a channel that the file does not define";
+        /// A file of a split drive that `metadata.yaml` lists is missing.
+        Warning "missing_drive_file" MissingDriveFile
+            => "file{s} listed in metadata.yaml but missing (if it is compressed, decompress it)";
+        /// A file of a split drive cannot be read.
+        Warning "unreadable_drive_file" UnreadableDriveFile => "file{s} of a split drive that cannot be read";
+        /// A log cannot be ingested.
+        Warning "log_left_out" LogLeftOut {
+            /// The code of the error.
+            error: String,
+        } => "log{s} left out of the run ({error})";
+
+        // Messages.
+
+        /// A message does not decode as its type.
+        Warning "undecodable_messages" UndecodableMessages {
+            /// The type, by name.
+            message_type: String,
+            /// What is wrong, by code.
+            fault: String,
+        } => "message{s} that could not be decoded as {message_type} ({fault})";
+        /// A channel of the topic has another type.
+        Warning "messages_of_other_type" MessagesOfOtherType {
+            /// Schema and encoding.
+            found: String,
+        } => "message{s} of another type ({found})";
+        /// A value is NaN or infinite.
+        Warning "non_finite_messages" NonFiniteMessages => "message{s} with NaN or infinite values";
+        /// A quaternion is not of length 1.
+        Warning "quaternion_not_normalized" QuaternionNotNormalized
+            => "message{s} with a quaternion that is not of length 1";
+        /// A satellite message has no fix.
+        Warning "no_gnss_fix" NoGnssFix => "message{s} without a satellite fix (status below 0)";
+        /// A fix at latitude and longitude 0.
+        Warning "gnss_fix_at_zero" GnssFixAtZero
+            => "fix{s} at latitude 0, longitude 0, which receivers send when they have none";
+        /// A latitude or longitude out of range.
+        Warning "gnss_fix_out_of_range" GnssFixOutOfRange
+            => "fix{s} with a latitude or longitude out of range";
+        /// A JointState message has no wheels.
+        Warning "no_wheel_joints" NoWheelJoints {
+            /// The joints of the message.
+            joints: String,
+        } => "message{s} without joints named `left` and `right` (joints: {joints})";
+
+        // Velodyne packets.
+
+        /// A packet appears in two files of a split drive.
+        Warning "packets_in_two_files" PacketsInTwoFiles
+            => "packet{s} that appear in two files of the drive";
+        /// A packet without a stamp.
+        Warning "unstamped_packets" UnstampedPackets => "packet{s} without a stamp (0)";
+        /// A packet appears twice.
+        Warning "duplicate_packets" DuplicatePackets => "duplicate packet{s}";
+        /// A packet arrives after its revolution was finished.
+        Warning "late_packets" LatePackets => "packet{s} too late to be put back in order";
+        /// The device clock was set back over other packets.
+        Warning "packets_at_taken_time" PacketsAtTakenTime
+            => "packet{s} at a time that another packet has (device clock set back)";
+        /// Bytes that are not an HDL-32E data packet.
+        Warning "malformed_packets" MalformedPackets
+            => "packet{s} without the layout of an HDL-32E data packet";
+        /// Packets of another Velodyne.
+        Warning "packets_of_other_model" PacketsOfOtherModel {
+            /// The model, by name.
+            model: String,
+        } => "packet{s} of a Velodyne {model}";
+        /// The device clock does not run on GPS time.
+        Warning "packets_off_gps_time" PacketsOffGpsTime
+            => "packet{s} whose device clock is not on GPS time (more than 60 s from the stamps; set `ingest.lidar.clock` to \"host\" or \"device\")";
+        /// The packet stream is interrupted.
+        Warning "packet_stream_interruptions" PacketStreamInterruptions
+            => "interruption{s} of the packet stream (clock jump or pause)";
+        /// A revolution takes too long.
+        Warning "stalled_revolutions" StalledRevolutions
+            => "revolution{s} of more than 0.46 s (the sensor stalled)";
+        /// A revolution without a single packet.
+        Warning "missing_revolutions" MissingRevolutions
+            => "revolution{s} with all packets missing";
+        /// A revolution with too many missing packets.
+        Warning "incomplete_revolutions" IncompleteRevolutions {
+            /// The limit \[%\].
+            max_missing_percent: String,
+        } => "revolution{s} with more than {max_missing_percent} % of the packets missing";
+
+        // Scans, poses, transforms.
+
+        /// A cloud has more than one revolution.
+        Warning "returns_beyond_revolution" ReturnsBeyondRevolution
+            => "return{s} after the first revolution of their cloud";
+        /// A pose has the stamp of another pose.
+        Warning "duplicate_pose_stamps" DuplicatePoseStamps
+            => "pose{s} with the stamp of another pose";
+        /// A transform of the chain is not known at the stamp of a pose.
+        Warning "poses_without_transform" PosesWithoutTransform
+            => "pose{s} at stamps where another transform of the chain is not known";
+        /// A stamp repeats in the wheel or IMU samples.
+        Warning "duplicate_sample_stamps" DuplicateSampleStamps {
+            /// `wheel` or `imu`.
+            sensor: String,
+        } => "{sensor} sample{s} with a repeated stamp";
+        /// A stamp steps back in the wheel or IMU samples.
+        Warning "sample_stamps_step_back" SampleStampsStepBack {
+            /// `wheel` or `imu`.
+            sensor: String,
+        } => "{sensor} sample{s} whose stamp steps back";
+        /// A sample is NaN or infinite.
+        Warning "non_finite_samples" NonFiniteSamples {
+            /// `wheel` or `imu`.
+            sensor: String,
+        } => "{sensor} sample{s} with NaN or infinite values";
+        /// A pose is asked for before the first wheel sample.
+        Warning "stamps_before_wheels" StampsBeforeWheels
+            => "requested stamp{s} before the first wheel sample";
+        /// A pose is asked for after the last wheel sample.
+        Warning "stamps_after_wheels" StampsAfterWheels
+            => "requested stamp{s} after the last wheel sample";
+        /// A pose is asked for twice.
+        Warning "duplicate_requested_stamps" DuplicateRequestedStamps
+            => "stamp{s} requested twice";
+
+        // Keyframes.
+
+        /// A scan before the first pose.
+        Warning "scans_before_poses" ScansBeforePoses => "scan{s} before the first pose";
+        /// A scan after the last pose.
+        Warning "scans_after_poses" ScansAfterPoses => "scan{s} after the last pose";
+        /// A scan in a gap between poses.
+        Warning "scans_in_pose_gap" ScansInPoseGap => "scan{s} in a gap between poses";
+        /// A scan from which no features can be computed.
+        Warning "unusable_scans" UnusableScans
+            => "scan{s} with fewer than 3 returns or all returns on one line";
+
+        // Import: rows and lines.
+
+        /// A time that a log cannot have.
+        Warning "times_out_of_range" TimesOutOfRange {
+            /// What has the time: `row`, `line`, `packet`.
+            item: String,
+        } => "{item}{s} with a time before 1970 or after 2037";
+        /// A row of a table does not parse.
+        Warning "malformed_rows" MalformedRows {
+            /// The columns that were expected.
+            columns: String,
+        } => "row{s} that are not {columns}";
+        /// A row has a value that is not a number.
+        Warning "rows_with_nan" RowsWithNan => "row{s} with NaN";
+        /// The last row has no line end.
+        Info "row_without_line_end" RowWithoutLineEnd => "last row{s} without a line end";
+        /// A row carries no message.
+        Info "rows_not_used" RowsNotUsed {
+            /// Why.
+            reason: String,
+        } => "row{s} not used ({reason})";
+        /// A row has no predecessor to take a difference with.
+        Info "rows_without_predecessor" RowsWithoutPredecessor
+            => "row{s} without another row shortly before";
+        /// A file that another one replaces.
+        Info "superseded_file" SupersededFile {
+            /// The file used instead.
+            used: String,
+        } => "file{s} not needed ({used} is used)";
+        /// A file that is of no use without another one.
+        Warning "file_without_partner" FileWithoutPartner {
+            /// The file it belongs to.
+            partner: String,
+        } => "file{s} not used ({partner} is missing)";
+        /// A binary file ends within a packet.
+        Warning "truncated_hits" TruncatedHits => "end{s} of the file cut off within a packet";
+        /// Bytes that are not packets.
+        Warning "bytes_between_packets" BytesBetweenPackets
+            => "stretch{s} of bytes that are not packets";
+        /// A hit of a laser that an HDL-32E does not have.
+        Warning "hits_of_unknown_laser" HitsOfUnknownLaser => "hit{s} of a laser above 31";
+        /// Rings could not be ordered by elevation.
+        Info "rings_by_file_number" RingsByFileNumber
+            => "revolution{s} whose ring numbers are the laser numbers of the file (their elevations are not those of an HDL-32E)";
+        /// A message earlier than the one before.
+        Info "message_times_step_back" MessageTimesStepBack
+            => "message{s} earlier than the message before (logged at its time)";
+        /// A line of a kind that is not imported.
+        Info "lines_not_imported" LinesNotImported {
+            /// The first word of the line.
+            keyword: String,
+        } => "{keyword} line{s} that are not imported";
+        /// A line that does not parse.
+        Warning "malformed_lines" MalformedLines {
+            /// The first word of the line.
+            keyword: String,
+        } => "malformed {keyword} line{s}";
+
+        // Import: captures.
+
+        /// A packet of an interface that the capture does not describe.
+        Warning "packets_of_unknown_interface" PacketsOfUnknownInterface
+            => "captured packet{s} of an interface that the capture does not describe";
+        /// A packet without a time.
+        Warning "packets_without_time" PacketsWithoutTime
+            => "captured packet{s} without a time (simple packet blocks)";
+        /// A capture ends within a packet.
+        Warning "truncated_capture" TruncatedCapture
+            => "capture{s} cut off within a packet (complete packets are kept)";
+        /// A capture is damaged.
+        Warning "damaged_capture" DamagedCapture {
+            /// Where the damage starts.
+            at_byte: u64,
+        } => "capture{s} damaged from byte {at_byte} on (what comes before is kept)";
+        /// A datagram to another port.
+        Info "datagrams_to_other_ports" DatagramsToOtherPorts => "UDP datagram{s} to other ports";
+        /// A datagram of another size to the position port.
+        Info "datagrams_not_positions" DatagramsNotPositions
+            => "datagram{s} to the position port that are not 512 bytes long";
+        /// A datagram to the data port that is not a data packet.
+        Warning "datagrams_not_data" DatagramsNotData
+            => "datagram{s} to the data port that are not Velodyne data packets (1206 bytes, starting with 0xeeff)";
+        /// A packet of a sensor that was not chosen.
+        Info "packets_of_other_sensors" PacketsOfOtherSensors => "packet{s} of other sensors";
+        /// A position packet with a fix.
+        Info "positions_with_fix" PositionsWithFix => "position packet{s} with a fix";
+        /// A position packet without a fix.
+        Info "positions_without_fix" PositionsWithoutFix => "position packet{s} without a fix";
+        /// A position packet whose sentence is damaged.
+        Warning "damaged_positions" DamagedPositions
+            => "position packet{s} with a damaged NMEA sentence";
+        /// A frame cut short by the snapshot length.
+        Warning "truncated_frames" TruncatedFrames
+            => "frame{s} cut short by the snapshot length of the capture";
+        /// A frame that is not UDP.
+        Info "frames_not_udp" FramesNotUdp {
+            /// What it is.
+            protocol: String,
+        } => "frame{s} that are not UDP ({protocol})";
+        /// A frame that cannot be decoded.
+        Warning "undecodable_frames" UndecodableFrames {
+            /// What is wrong.
+            fault: String,
+        } => "frame{s} that could not be decoded ({fault})";
+
+        // Training and evaluation.
+
+        /// A grouping that cannot be evaluated.
+        Warning "grouping_left_out" GroupingLeftOut {
+            /// The grouping, by name.
+            grouping: String,
+            /// Why, by code.
+            reason: String,
+        } => "grouping{s} not evaluated: `{grouping}` ({reason})";
+    }
+}
+
+/// One kind of loss of one subject.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Loss {
+    /// What was left out, and why.
+    #[serde(flatten)]
+    pub kind: LossKind,
+    /// Where.
+    #[serde(flatten)]
+    pub subject: Subject,
+}
+
+impl Loss {
+    /// A loss about a subject.
+    pub fn new(kind: LossKind, subject: Subject) -> Self {
+        Self { kind, subject }
+    }
+
+    /// The sentence for `n` of it: `3 duplicate packets (topic `/velodyne_packets`)`.
+    pub fn sentence(&self, n: u64) -> String {
+        Counted { loss: self, n }.to_string()
+    }
+}
+
+impl From<LossKind> for Loss {
+    fn from(kind: LossKind) -> Self {
+        Self { kind, subject: Subject::default() }
+    }
+}
+
+struct Counted<'a> {
+    loss: &'a Loss,
+    n: u64,
+}
+
+impl fmt::Display for Counted<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} ", self.n)?;
+        self.loss.kind.write(f, if self.n == 1 { "" } else { "s" })?;
+        match self.loss.subject == Subject::default() {
+            true => Ok(()),
+            false => write!(f, " ({})", self.loss.subject),
+        }
+    }
+}
+
+/// What was left out, counted by kind and subject.
+///
+/// In JSON it is a list with one object per entry: `code`, the arguments of the kind, the parts of
+/// the subject, and `n`.
+///
+/// ```
+/// use dataset::{LossKind, Losses};
+///
+/// let mut losses = Losses::default();
+/// losses.add(LossKind::DuplicatePackets, 3);
+/// losses.add(LossKind::DuplicatePackets, 1);
+/// assert_eq!(losses.count("duplicate_packets"), 4);
+/// assert_eq!(losses.to_string(), "4 duplicate packets");
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(from = "Vec<Entry>", into = "Vec<Entry>")]
+pub struct Losses(BTreeMap<Loss, u64>);
+
+#[derive(Serialize, Deserialize)]
+struct Entry {
+    #[serde(flatten)]
+    loss: Loss,
+    n: u64,
+}
+
+impl Losses {
+    /// Counts `n` more of a loss; 0 adds nothing.
+    pub fn add(&mut self, loss: impl Into<Loss>, n: u64) {
+        if n > 0 {
+            *self.0.entry(loss.into()).or_default() += n;
+        }
+    }
+
+    /// Adds all counts of another.
+    pub fn merge(&mut self, other: Self) {
+        for (loss, n) in other.0 {
+            self.add(loss, n);
+        }
+    }
+
+    /// Whether nothing was left out.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Losses and their counts, in order of the kinds.
+    pub fn iter(&self) -> impl Iterator<Item = (&Loss, u64)> {
+        self.0.iter().map(|(loss, &n)| (loss, n))
+    }
+
+    /// The sum of the counts of a code.
+    pub fn count(&self, code: &str) -> u64 {
+        self.iter().filter(|(loss, _)| loss.kind.code() == code).map(|(_, n)| n).sum()
+    }
+
+    /// The sum of all counts.
+    pub fn total(&self) -> u64 {
+        self.0.values().sum()
+    }
+
+    /// The highest severity; none where nothing was left out.
+    pub fn severity(&self) -> Option<Severity> {
+        self.iter().map(|(loss, _)| loss.kind.severity()).max()
+    }
+
+    /// The same losses, all of one log.
+    #[must_use]
+    pub fn in_log(self, log: &str) -> Self {
+        let mut losses = Self::default();
+        for (Loss { kind, subject }, n) in self.0 {
+            losses.add(Loss::new(kind, subject.in_log(log)), n);
+        }
+        losses
+    }
+
+    /// The same losses; those without a topic become losses of this one.
+    #[must_use]
+    pub fn on_topic(self, topic: &str) -> Self {
+        let mut losses = Self::default();
+        for (Loss { kind, mut subject }, n) in self.0 {
+            subject.topic.get_or_insert_with(|| topic.to_owned());
+            losses.add(Loss::new(kind, subject), n);
+        }
+        losses
+    }
+}
+
+/// The sentences, separated by commas.
+impl fmt::Display for Losses {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (k, (loss, n)) in self.iter().enumerate() {
+            let separator = if k == 0 { "" } else { ", " };
+            write!(f, "{separator}{}", Counted { loss, n })?;
+        }
+        Ok(())
+    }
+}
+
+impl From<Vec<Entry>> for Losses {
+    fn from(entries: Vec<Entry>) -> Self {
+        let mut losses = Self::default();
+        for Entry { loss, n } in entries {
+            losses.add(loss, n);
+        }
+        losses
+    }
+}
+
+impl From<Losses> for Vec<Entry> {
+    fn from(losses: Losses) -> Self {
+        losses.0.into_iter().map(|(loss, n)| Entry { loss, n }).collect()
+    }
+}
+
+/// Temporary: for consumers that still count by sentence.
+impl From<Losses> for crate::Dropped {
+    fn from(losses: Losses) -> Self {
+        let mut dropped = Self::default();
+        for (loss, n) in losses.iter() {
+            let sentence = loss.sentence(n);
+            let reason = sentence.split_once(' ').map_or("", |(_, reason)| reason);
+            dropped.add(reason, n);
+        }
+        dropped
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn json_keeps_codes_arguments_subjects_and_counts() {
+        let mut losses = Losses::default();
+        let kind = LossKind::UndecodableMessages {
+            message_type: "LaserScan".to_owned(),
+            fault: "too_short".to_owned(),
+        };
+        losses.add(Loss::new(kind, Subject::topic("/scan").in_log("monday")), 2);
+        losses.add(LossKind::DuplicatePackets, 1);
+        let json = serde_json::to_value(&losses).unwrap();
+        assert_eq!(
+            json,
+            serde_json::json!([
+                {
+                    "code": "undecodable_messages", "message_type": "LaserScan",
+                    "fault": "too_short", "log": "monday", "topic": "/scan", "n": 2
+                },
+                { "code": "duplicate_packets", "n": 1 }
+            ])
+        );
+        assert_eq!(serde_json::from_value::<Losses>(json).unwrap(), losses);
+        assert_eq!(
+            losses.to_string(),
+            "2 messages that could not be decoded as LaserScan (too_short) (log `monday`, topic \
+             `/scan`), 1 duplicate packet"
+        );
+    }
+
+    #[test]
+    fn codes_are_unique_and_snake_case() {
+        let mut codes = LossKind::CODES.to_vec();
+        codes.extend(crate::NoteKind::CODES);
+        for code in &codes {
+            assert!(code.chars().all(|c| c.is_ascii_lowercase() || c == '_'), "{code}");
+        }
+        let n = codes.len();
+        codes.sort_unstable();
+        codes.dedup();
+        assert_eq!(codes.len(), n);
+    }
+
+    #[test]
+    fn the_severity_is_the_highest_of_all() {
+        let mut losses = Losses::default();
+        assert_eq!(losses.severity(), None);
+        losses.add(LossKind::DatagramsToOtherPorts, 5);
+        assert_eq!(losses.severity(), Some(Severity::Info));
+        losses.add(LossKind::DuplicatePackets, 0);
+        assert_eq!(losses.severity(), Some(Severity::Info));
+        losses.add(LossKind::DuplicatePackets, 1);
+        assert_eq!(losses.severity(), Some(Severity::Warning));
+    }
+}
