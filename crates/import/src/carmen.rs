@@ -1,67 +1,73 @@
-//! Logs of CARMEN, the Carnegie Mellon Robot Navigation Toolkit: a message a line.
+//! Logs of CARMEN, the Carnegie Mellon Robot Navigation Toolkit. Each line is a message.
 //!
-//! Source: CARMEN's reader, `src/logger/readlog.c`, and the description that its logger writes at a
-//! log's start. Metres, radians; the robot's frame has x forward, y left.
+//! Sources: CARMEN's reader, `src/logger/readlog.c`, and the comments that its logger writes at the
+//! start of a log. Units are metres and radians. The robot's frame has x forward and y left.
 //!
 //! ```text
-//! FLASER n range.. laser_x laser_y laser_theta x y theta time host logger_time      RLASER the same
+//! FLASER n range.. laser_x laser_y laser_theta x y theta time host logger_time
+//! RLASER (same fields)
 //! ROBOTLASER1 type start_angle fov angular_resolution maximum_range accuracy remission_mode
 //!     n range.. m remission.. laser_x laser_y laser_theta x y theta
-//!     tv rv forward_safety side_safety turn_axis time host logger_time              ROBOTLASER2 too
+//!     tv rv forward_safety side_safety turn_axis time host logger_time
+//! ROBOTLASER2 (same fields)
 //! ODOM x y theta tv rv acceleration time host logger_time
 //! TRUEPOS x y theta odom_x odom_y odom_theta time host logger_time
 //! ```
 //!
-//! - `FLASER` and `ROBOTLASER1` become `LaserScan`, `RLASER` and `ROBOTLASER2` those of the rear
-//!   scanner. Readings are left as they are: a scanner that saw nothing gives one of `range_max` or
-//!   more.
-//! - `ODOM` becomes `Odometry`; in a log without, the robot's pose of each front scan does.
-//! - In a corrected log the first pose of `FLASER` is the corrected one, the second the odometry's.
-//!   Where the two differ in any line of a log, the first becomes `PoseStamped` for each of them.
-//!   (In a raw log they may differ by where the scanner is mounted; so does that pose then.)
+//! - `FLASER` and `ROBOTLASER1` become `LaserScan`. `RLASER` and `ROBOTLASER2` become `LaserScan` of
+//!   the rear scanner. Readings are copied unchanged: a reading of `range_max` or more means no return.
+//! - `ODOM` becomes `Odometry`. In a log without `ODOM`, the robot's pose of each front scan becomes
+//!   `Odometry`.
+//! - In a corrected log, the first pose of a `FLASER` line is the corrected pose, and the second is
+//!   the odometry. If the two differ in any line of the log, the first pose of every `FLASER` line
+//!   becomes `PoseStamped`. (In a raw log, the two may differ by the mounting position of the scanner.
+//!   The `PoseStamped` then differs from the odometry by the same offset.)
 //! - `TRUEPOS`, which a simulator writes, becomes the `PoseStamped` of the ground truth.
-//! - The time is that of the sensor (`time`), not the logger's.
+//! - The stamp is the time of the sensor (`time`), not the time of the logger.
 
 use std::collections::VecDeque;
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::path::Path;
 use std::str::SplitAsciiWhitespace;
 
-use crate::error::ImportError;
-use crate::input::{Lines, Meter};
-use crate::options::Topic;
-use crate::record::{Body, Losses, Pose, Record, Scan, Source, Twist, representable};
-use crate::rotation::from_heading;
+use dataset::{Loss, LossKind, Losses, Subject};
+use nalgebra::{Isometry3, Translation3};
 
-/// Range beyond which `FLASER` saw nothing \[m\]: what CARMEN fills in (`readlog.c`,
-/// `config.maximum_range`); a SICK LMS reports 81.83 m and more for no return.
+use crate::axes::from_heading;
+use crate::error::ImportError;
+use crate::input::{Lines, Meter, file_name};
+use crate::options::Topic;
+use crate::record::{Body, Record, Scan, Source, Twist, is_representable};
+
+/// The maximum range of a `FLASER` scan \[m\]. CARMEN uses the same value (`readlog.c`,
+/// `config.maximum_range`). A SICK LMS reports 81.83 m or more if there is no return.
 const SICK_RANGE_MAX_M: f32 = 80.0;
-/// More readings a scan than any scanner has: such a number is no number of readings.
+/// A larger number of readings is treated as damage. No scanner has as many.
 const MAX_READINGS: usize = 1 << 16;
-/// Lines that hold no sensor data.
-const SILENT: [&str; 2] = ["PARAM", "SYNC"];
+/// Keywords of lines without sensor data.
+const WITHOUT_SENSOR_DATA: [&str; 2] = ["PARAM", "SYNC"];
 /// The keywords that are imported.
 const IMPORTED: [&str; 6] = ["FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "ODOM", "TRUEPOS"];
 
-/// Whether a line is a message that is imported: keyword and numbers.
+/// Whether a line is a message that can be imported: one of the keywords, followed by a number.
 pub(crate) fn is_message(line: &str) -> bool {
     let mut words = line.split_ascii_whitespace();
     words.next().is_some_and(|keyword| IMPORTED.contains(&keyword))
         && words.next().is_some_and(|word| word.parse::<f64>().is_ok())
 }
 
-/// One log.
+/// Reads one log.
 pub(crate) struct Log {
     lines: Lines,
-    /// Whether it has `ODOM` lines.
+    /// Whether the log has `ODOM` lines.
     has_odom: bool,
-    /// Whether the poses of its `FLASER` lines differ anywhere.
+    /// Whether the two poses of any `FLASER` line differ.
     is_corrected: bool,
     ready: VecDeque<Record>,
 }
 
 impl Log {
-    /// Reads the log once to see what it holds; [`Source::next`] reads it again.
+    /// Opens a log and scans it for odometry and corrected poses. [`Source::next`] reads it again.
     pub fn open(path: &Path, meter: &Meter) -> Result<Self, ImportError> {
         let mut ahead = Lines::open(path, &Meter::default())?;
         let (mut has_odom, mut is_corrected) = (false, false);
@@ -69,8 +75,10 @@ impl Log {
             && !(has_odom && is_corrected)
         {
             match message(&line.text) {
-                Ok(Message { what: What::Odometry { .. }, .. }) => has_odom = true,
-                Ok(Message { what: What::Scan { laser: Some(laser), robot, .. }, .. }) => {
+                Ok(Message { content: Content::Odometry { .. }, .. }) => has_odom = true,
+                Ok(Message {
+                    content: Content::Scan { laser: Some(laser), robot, .. }, ..
+                }) => {
                     is_corrected |= laser != robot;
                 }
                 _ => {}
@@ -80,27 +88,34 @@ impl Log {
         Ok(Self { lines, has_odom, is_corrected, ready: VecDeque::new() })
     }
 
-    fn take_in(&mut self, Message { stamp_ns, what }: Message) {
+    /// Queues the records of a message.
+    fn push(&mut self, Message { stamp_ns, content }: Message) {
         let mut push = |topic, body| self.ready.push_back(Record { topic, stamp_ns, body });
-        match what {
-            What::Odometry { pose, twist } => {
-                push(Topic::Odom, Body::Odometry(pose.in_space(), twist));
+        match content {
+            Content::Odometry { pose, twist } => {
+                push(Topic::Odom, Body::Odometry(pose.to_3d(), twist));
             }
-            What::True(pose) => push(Topic::GroundTruth, Body::Pose(pose.in_space())),
-            What::Scan { scan, rear, laser, robot } => {
-                // The poses first: a reader that goes by order has them when the scan comes.
+            Content::GroundTruth(pose) => push(Topic::GroundTruth, Body::Pose(pose.to_3d())),
+            Content::Scan { scan, rear, laser, robot } => {
+                // The poses come first, because some readers need a pose before its scan.
                 if !rear && !self.has_odom {
-                    push(Topic::Odom, Body::Odometry(robot.in_space(), Twist::default()));
+                    push(Topic::Odom, Body::Odometry(robot.to_3d(), Twist::default()));
                 }
                 if let Some(laser) = laser
                     && !rear
                     && self.is_corrected
                 {
-                    push(Topic::Pose, Body::Pose(laser.in_space()));
+                    push(Topic::Pose, Body::Pose(laser.to_3d()));
                 }
                 push(if rear { Topic::RearScan } else { Topic::Scan }, Body::Scan(scan));
             }
         }
+    }
+}
+
+impl Log {
+    fn loss(&self, kind: LossKind) -> Loss {
+        Loss::new(kind, Subject::file(file_name(self.lines.path())))
     }
 }
 
@@ -109,47 +124,45 @@ impl Source for Log {
         while self.ready.is_empty() {
             let Some(line) = self.lines.next()? else { break };
             match message(&line.text) {
-                Ok(message) if representable(message.stamp_ns) => self.take_in(message),
-                Ok(_) => losses.dropped.add("lines before 1970 or after 2037", 1),
-                Err(Unused::Empty) => {}
-                Err(Unused::Other(keyword)) => {
-                    losses.remarks.add(format!("{keyword} lines, which are not imported"), 1);
+                Ok(message) if is_representable(message.stamp_ns) => self.push(message),
+                Ok(_) => {
+                    let kind = LossKind::TimesOutOfRange { item: "line".to_owned() };
+                    losses.add(self.loss(kind), 1);
                 }
-                Err(Unused::Damaged(keyword)) => {
-                    losses.dropped.add(format!("{keyword} lines that are cut or damaged"), 1);
-                }
+                Err(NoMessage::Empty) => {}
+                Err(NoMessage::Loss(kind)) => losses.add(self.loss(kind), 1),
             }
         }
         Ok(self.ready.pop_front())
     }
 }
 
-/// A line that is understood.
+/// A parsed line.
 struct Message {
     stamp_ns: i64,
-    what: What,
+    content: Content,
 }
 
-enum What {
+enum Content {
     Odometry {
         pose: PlanarPose,
         twist: Twist,
     },
-    True(PlanarPose),
+    GroundTruth(PlanarPose),
     Scan {
         scan: Scan,
         rear: bool,
-        /// The first pose of `FLASER` and `RLASER`, which may be corrected.
+        /// The first pose of a `FLASER` or `RLASER` line. It may be a corrected pose.
         laser: Option<PlanarPose>,
         robot: PlanarPose,
     },
 }
 
-/// A line that gives no message.
-enum Unused {
+/// Why a line gives no message.
+enum NoMessage {
+    /// The line is empty or a comment.
     Empty,
-    Other(String),
-    Damaged(&'static str),
+    Loss(LossKind),
 }
 
 /// A pose in the plane \[m, rad\].
@@ -161,19 +174,20 @@ struct PlanarPose {
 }
 
 impl PlanarPose {
-    fn in_space(self) -> Pose {
-        Pose { position: [self.x, self.y, 0.0], orientation: from_heading(self.theta) }
+    fn to_3d(self) -> Isometry3<f64> {
+        Isometry3::from_parts(Translation3::new(self.x, self.y, 0.0), from_heading(self.theta))
     }
 }
 
-fn message(line: &str) -> Result<Message, Unused> {
+/// Parses a line.
+fn message(line: &str) -> Result<Message, NoMessage> {
     let mut words = Words(line.split_ascii_whitespace());
-    let Some(keyword) = words.0.next() else { return Err(Unused::Empty) };
+    let Some(keyword) = words.0.next() else { return Err(NoMessage::Empty) };
     if keyword.starts_with('#') {
-        return Err(Unused::Empty);
+        return Err(NoMessage::Empty);
     }
     let Some(known) = IMPORTED.iter().find(|known| **known == keyword) else {
-        return Err(other(keyword));
+        return Err(NoMessage::Loss(unknown_keyword(keyword)));
     };
     let message = match keyword {
         "FLASER" => words.old_scan(false),
@@ -183,22 +197,24 @@ fn message(line: &str) -> Result<Message, Unused> {
         "ODOM" => words.odometry(),
         _ => words.true_pose(),
     };
-    message.ok_or(Unused::Damaged(known))
+    let malformed = || LossKind::MalformedLines { keyword: (*known).to_owned() };
+    message.ok_or_else(|| NoMessage::Loss(malformed()))
 }
 
-/// A keyword of another line, or what stands in its place.
-fn other(word: &str) -> Unused {
+/// The loss for a line that starts with `word`, which is not one of the imported keywords.
+fn unknown_keyword(word: &str) -> LossKind {
     let is_keyword =
         word.bytes().all(|b| b.is_ascii_uppercase() || b.is_ascii_digit() || b == b'_');
+    let keyword = word.to_owned();
     match is_keyword && word.len() <= 32 {
-        true if SILENT.contains(&word) => Unused::Other(format!("{word} (no sensor data)")),
-        true => Unused::Other(word.to_owned()),
-        false => Unused::Damaged("unknown"),
+        true if WITHOUT_SENSOR_DATA.contains(&word) => LossKind::LinesWithoutSensorData { keyword },
+        true => LossKind::LinesNotImported { keyword },
+        false => LossKind::MalformedLines { keyword: "unknown".to_owned() },
     }
 }
 
-/// The words of a line after its keyword. Each method takes what it reads, none where that is cut
-/// or no finite number.
+/// The words of a line after its keyword. Each method consumes the words that it parses. It returns
+/// `None` if a word is missing or is not a finite number.
 struct Words<'a>(SplitAsciiWhitespace<'a>);
 
 impl Words<'_> {
@@ -208,7 +224,7 @@ impl Words<'_> {
         let (laser, robot) = (self.pose()?, self.pose()?);
         let stamp_ns = self.time()?;
         let scan = Scan { angle_min, angle_increment, range_max: SICK_RANGE_MAX_M, ranges };
-        Some(Message { stamp_ns, what: What::Scan { scan, rear, laser: Some(laser), robot } })
+        Some(Message { stamp_ns, content: Content::Scan { scan, rear, laser: Some(laser), robot } })
     }
 
     fn scan(&mut self, rear: bool) -> Option<Message> {
@@ -220,22 +236,22 @@ impl Words<'_> {
         let [_tv, _rv, _forward, _side, _turn_axis] = self.numbers()?;
         let stamp_ns = self.time()?;
         let scan = Scan { angle_min, angle_increment, range_max: range_max as f32, ranges };
-        Some(Message { stamp_ns, what: What::Scan { scan, rear, laser: None, robot } })
+        Some(Message { stamp_ns, content: Content::Scan { scan, rear, laser: None, robot } })
     }
 
     fn odometry(&mut self) -> Option<Message> {
         let pose = self.pose()?;
-        let [forward, turn, _acceleration] = self.numbers()?;
-        let twist = Twist { forward, turn };
-        Some(Message { stamp_ns: self.time()?, what: What::Odometry { pose, twist } })
+        let [forward, yaw_rate, _acceleration] = self.numbers()?;
+        let twist = Twist { forward, yaw_rate };
+        Some(Message { stamp_ns: self.time()?, content: Content::Odometry { pose, twist } })
     }
 
     fn true_pose(&mut self) -> Option<Message> {
         let (pose, _odometry) = (self.pose()?, self.pose()?);
-        Some(Message { stamp_ns: self.time()?, what: What::True(pose) })
+        Some(Message { stamp_ns: self.time()?, content: Content::GroundTruth(pose) })
     }
 
-    /// How many there are, and they.
+    /// A count, followed by that many numbers.
     fn counted(&mut self) -> Option<Vec<f32>> {
         let n: usize = self.0.next()?.parse().ok()?;
         if MAX_READINGS < n {
@@ -257,8 +273,7 @@ impl Words<'_> {
         numbers.iter().all(|number| number.is_finite()).then_some(numbers)
     }
 
-    /// Seconds, with host and logger time behind them: without those the line may have been cut
-    /// within the number.
+    /// Seconds, followed by the host. If the host is missing, the line may end within the number.
     fn time(&mut self) -> Option<i64> {
         let stamp_ns = seconds_ns(self.0.next()?)?;
         self.0.next()?;
@@ -266,11 +281,12 @@ impl Words<'_> {
     }
 }
 
-/// Angle of the first reading, and from one to the next \[rad\], of a scan that does not say
-/// (`readlog.c`, `carmen_laser_guess_angle_increment`): SICK scanners see 180 deg in steps of 1 or
-/// 0.5 deg, from -90 deg on; where the number is even the last reading, at +90 deg, was left out.
-/// Those in steps of 0.25 deg see 100 deg; where CARMEN has them begin at -90 deg all the same,
-/// they begin at -50 deg here.
+/// The angle of the first reading and the angle between readings \[rad\], for scans that do not
+/// contain them (`readlog.c`, `carmen_laser_guess_angle_increment`).
+///
+/// SICK scanners cover 180 deg in steps of 1 or 0.5 deg, starting at -90 deg. If the number of
+/// readings is even, the last reading at +90 deg is missing. Scanners with steps of 0.25 deg cover
+/// 100 deg. CARMEN lets them start at -90 deg; here they start at -50 deg.
 fn angles_of(n_readings: usize) -> (f64, f64) {
     match n_readings {
         180 | 181 => (-FRAC_PI_2, PI / 180.0),
@@ -280,7 +296,7 @@ fn angles_of(n_readings: usize) -> (f64, f64) {
     }
 }
 
-/// Seconds in decimals, exactly; digits beyond the ninth are left out \[ns\].
+/// Decimal seconds as exact nanoseconds. Digits after the ninth decimal place are ignored.
 fn seconds_ns(text: &str) -> Option<i64> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     if !fraction.bytes().all(|b| b.is_ascii_digit()) || whole.starts_with(['-', '+']) {
@@ -297,7 +313,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn seconds_are_read_exactly() {
+    fn seconds_are_parsed_exactly() {
         assert_eq!(seconds_ns("976052857.245617"), Some(976_052_857_245_617_000));
         assert_eq!(seconds_ns("1.0000000019"), Some(1_000_000_001));
         assert_eq!(seconds_ns("12"), Some(12_000_000_000));
@@ -308,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn scans_that_do_not_say_see_half_a_circle() {
+    fn scans_without_angles_cover_180_deg() {
         let degrees = |n| {
             let (first, step) = angles_of(n);
             let last = first + step * (n - 1) as f64;
@@ -325,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_is_a_message_with_keyword_and_number() {
+    fn a_message_starts_with_a_keyword_and_a_number() {
         assert!(is_message("ODOM 0.0 0.0"));
         assert!(!is_message("ODOM"));
         assert!(!is_message("ODOMETRY 1"));

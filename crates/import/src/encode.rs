@@ -1,19 +1,20 @@
-//! Records -> ROS 2 messages.
+//! Converts records to ROS 2 messages.
 
 use messages::ros;
 use messages::{
     Encoding, Imu, JointState, LaserScan, MessageType, NavSatFix, Odometry, PointCloud, PointField,
     Scalar, StampedPose3,
 };
+use nalgebra::Isometry3;
 
 use crate::options::Topic;
-use crate::record::{Body, Point, Pose, Record, Twist};
+use crate::record::{Body, Point, Record, Twist};
 
 const CDR: Encoding = Encoding::Cdr;
-/// Bytes of a point, laid out as `velodyne_pointcloud` does.
+/// The size of a point \[bytes\]. The layout is that of `velodyne_pointcloud`.
 const POINT_STEP: usize = 22;
 
-/// What is written to a topic.
+/// The type of the messages on a topic.
 pub(crate) fn message_type(topic: Topic) -> MessageType {
     match topic {
         Topic::Packets => MessageType::VelodyneScan,
@@ -27,7 +28,7 @@ pub(crate) fn message_type(topic: Topic) -> MessageType {
     }
 }
 
-/// The frame that a topic's messages are in.
+/// The frame of the messages on a topic.
 fn frame_id(topic: Topic) -> &'static str {
     match topic {
         Topic::Packets | Topic::Points => "velodyne",
@@ -45,7 +46,7 @@ fn frame_id(topic: Topic) -> &'static str {
 
 const BASE_FRAME: &str = "base_link";
 
-/// The message's bytes.
+/// Encodes a record as CDR.
 pub(crate) fn encode(record: &Record) -> Vec<u8> {
     let stamp_ns = record.stamp_ns;
     let frame_id = frame_id(record.topic);
@@ -55,7 +56,7 @@ pub(crate) fn encode(record: &Record) -> Vec<u8> {
         Body::Imu(imu) => {
             let imu = Imu {
                 stamp_ns,
-                orientation: imu.orientation,
+                orientation: imu.orientation.map(|orientation| orientation.coords.into()),
                 angular_velocity: imu.angular_velocity,
                 linear_acceleration: imu.linear_acceleration,
             };
@@ -100,18 +101,22 @@ pub(crate) fn encode(record: &Record) -> Vec<u8> {
     }
 }
 
-fn stamped(stamp_ns: i64, pose: &Pose) -> StampedPose3 {
-    StampedPose3 { stamp_ns, position: pose.position, orientation: pose.orientation }
+fn stamped(stamp_ns: i64, pose: &Isometry3<f64>) -> StampedPose3 {
+    StampedPose3 {
+        stamp_ns,
+        position: pose.translation.vector.into(),
+        orientation: pose.rotation.coords.into(),
+    }
 }
 
-fn odometry(stamp_ns: i64, frame_id: &str, pose: &Pose, twist: Twist) -> Odometry {
+fn odometry(stamp_ns: i64, frame_id: &str, pose: &Isometry3<f64>, twist: Twist) -> Odometry {
     Odometry {
         pose: stamped(stamp_ns, pose),
         frame_id: frame_id.to_owned(),
         child_frame_id: BASE_FRAME.to_owned(),
         pose_covariance: [0.0; 36],
         linear_velocity: [twist.forward, 0.0, 0.0],
-        angular_velocity: [0.0, 0.0, twist.turn],
+        angular_velocity: [0.0, 0.0, twist.yaw_rate],
     }
 }
 

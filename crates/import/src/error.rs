@@ -1,83 +1,92 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::Format;
+use crate::format::Format;
 
 /// Why a recording could not be imported.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ImportError {
-    /// A file cannot be read.
+    /// A file or folder cannot be read.
     #[error("cannot {action} {}", path.display())]
     Io {
-        /// What was tried.
+        /// The operation that failed.
         action: &'static str,
         /// The file or folder.
         path: PathBuf,
-        /// Why it failed.
+        /// The cause.
+        #[source]
         source: io::Error,
     },
     /// No input was given.
-    #[error("nothing to import: name a capture, an NCLT folder or file, or a CARMEN log")]
+    #[error("no input; expected a network capture, an NCLT folder or file, or a CARMEN log")]
     NoInput,
-    /// A file or folder in no format that is known.
-    #[error("{} is in no format that can be imported: found {found}, expected {expected}", path.display())]
-    Unrecognised {
+    /// The format of a file or folder is not known.
+    #[error("cannot import {}: found {found}, expected {expected}", path.display())]
+    UnknownFormat {
         /// The file or folder.
         path: PathBuf,
-        /// What it starts with or holds.
+        /// The content that was found.
         found: String,
-        /// What would do.
+        /// The formats that can be imported.
         expected: String,
     },
-    /// Inputs of two formats.
-    #[error("{} is {first_format}, {} is {second_format}: import them one by one", first.display(), second.display())]
+    /// The inputs have different formats.
+    #[error(
+        "{} is {first_format}, but {} is {second_format}; import them separately",
+        first.display(),
+        second.display()
+    )]
     Mixed {
         /// The first input.
         first: PathBuf,
-        /// Its format.
+        /// The format of the first input.
         first_format: Format,
         /// An input of another format.
         second: PathBuf,
-        /// Its format.
+        /// The format of that input.
         second_format: Format,
     },
-    /// A file is not what its name or its start promises.
+    /// The content of a file does not match its name or its first bytes.
     #[error("{}, {place}: found {found}, expected {expected}", path.display())]
-    Foreign {
+    UnexpectedContent {
         /// The file.
         path: PathBuf,
         /// The line or the byte.
         place: String,
-        /// What stands there.
+        /// The content that was found.
         found: String,
-        /// What should.
+        /// The content that was expected.
         expected: String,
     },
-    /// A capture of several sensors, of which none was chosen.
+    /// A capture contains data of several sensors, and none of them was selected.
     #[error(
-        "{} holds the data of several sensors, {addresses}: choose one by its address with `--source-ip`",
+        "{} contains data of several sensors ({addresses}); select one with `--source-ip`",
         path.display()
     )]
     SeveralSensors {
         /// The capture.
         path: PathBuf,
-        /// Their addresses and numbers of packets.
+        /// The addresses of the sensors.
         addresses: String,
     },
     /// Nothing in the recording could be used.
-    #[error("{inputs} holds nothing to import: {found}; expected {expected}")]
+    #[error("no message to write from {inputs}: found {found}; expected {expected}")]
     Empty {
         /// The names of the files.
         inputs: String,
-        /// What they hold.
+        /// What the files contain.
         found: String,
-        /// What would do.
+        /// What was expected.
         expected: &'static str,
     },
     /// The log cannot be written.
     #[error("cannot write the log")]
-    Write(#[from] mcap::McapError),
+    Write(
+        /// The cause.
+        #[from]
+        mcap::McapError,
+    ),
 }
 
 impl ImportError {
@@ -85,13 +94,13 @@ impl ImportError {
         Self::Io { action, path: path.to_owned(), source }
     }
 
-    pub(crate) fn foreign(
+    pub(crate) fn unexpected(
         path: &Path,
         place: impl Into<String>,
         found: impl Into<String>,
         expected: impl Into<String>,
     ) -> Self {
-        Self::Foreign {
+        Self::UnexpectedContent {
             path: path.to_owned(),
             place: place.into(),
             found: found.into(),

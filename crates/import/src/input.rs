@@ -1,4 +1,4 @@
-//! Files read once from top to bottom, with what has been read counted.
+//! Buffered reading of files from start to end, with a count of the bytes read.
 
 use std::cell::Cell;
 use std::fs::File;
@@ -6,13 +6,13 @@ use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
-use crate::ImportError;
+use crate::error::ImportError;
 
-/// The longest line that is read: a scan of 1081 readings takes about 8 kB.
+/// The longest line accepted \[bytes\]. A scan of 1081 readings takes about 8 kB.
 const MAX_LINE_BYTES: u64 = 1 << 20;
 const BUFFER_BYTES: usize = 1 << 18;
 
-/// Bytes read so far, of all files together.
+/// The number of bytes read so far from all files.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Meter(Rc<Cell<u64>>);
 
@@ -22,7 +22,7 @@ impl Meter {
     }
 }
 
-/// A file that counts what is read of it.
+/// A file that counts the bytes read from it.
 pub(crate) struct Metered {
     file: File,
     meter: Meter,
@@ -49,12 +49,12 @@ impl Seek for Metered {
     }
 }
 
-/// A file's bytes, buffered.
+/// Opens a file for buffered reading.
 pub(crate) fn bytes(path: &Path, meter: &Meter) -> Result<BufReader<Metered>, ImportError> {
     Ok(BufReader::with_capacity(BUFFER_BYTES, Metered::open(path, meter)?))
 }
 
-/// Fills `buffer` as far as the file goes; how many bytes there were.
+/// Reads until `buffer` is full or the input ends. Returns the number of bytes read.
 pub(crate) fn read_full(reader: &mut impl Read, buffer: &mut [u8]) -> io::Result<usize> {
     let mut filled = 0;
     while filled < buffer.len() {
@@ -76,14 +76,14 @@ pub(crate) struct Lines {
     line: Vec<u8>,
 }
 
-/// One line.
+/// One line of a text file.
 pub(crate) struct Line {
     /// Counted from 1.
     pub number: u64,
-    /// Without the line's end; bytes that are no UTF-8 replaced.
+    /// The text without the line break. Bytes that are not UTF-8 are replaced.
     pub text: String,
-    /// Whether the line's end is there: without one the file may have been cut within the line.
-    pub whole: bool,
+    /// Whether the line ends with a line break. A line without one may be truncated.
+    pub is_complete: bool,
 }
 
 impl Lines {
@@ -106,23 +106,28 @@ impl Lines {
             return Ok(None);
         }
         self.number += 1;
-        let whole = self.line.ends_with(b"\n");
-        if !whole && MAX_LINE_BYTES <= n as u64 {
-            return Err(ImportError::foreign(
+        let is_complete = self.line.ends_with(b"\n");
+        if !is_complete && MAX_LINE_BYTES <= n as u64 {
+            return Err(ImportError::unexpected(
                 &self.path,
                 format!("line {}", self.number),
-                "more than 1 MB without a line's end",
+                "more than 1 MB without a line break",
                 "lines of text",
             ));
         }
         let text = String::from_utf8_lossy(&self.line).trim_end_matches(['\n', '\r']).to_owned();
-        Ok(Some(Line { number: self.number, text, whole }))
+        Ok(Some(Line { number: self.number, text, is_complete }))
     }
 }
 
-/// The start of a text, fit for an error message.
+/// The first characters of a text, escaped and quoted for an error message.
 pub(crate) fn excerpt(text: &str) -> String {
-    const CHARS: usize = 40;
-    let start: String = text.chars().take(CHARS).flat_map(char::escape_debug).collect();
-    if CHARS < text.chars().count() { format!("`{start}...`") } else { format!("`{start}`") }
+    const MAX_CHARS: usize = 40;
+    let start: String = text.chars().take(MAX_CHARS).flat_map(char::escape_debug).collect();
+    if MAX_CHARS < text.chars().count() { format!("`{start}...`") } else { format!("`{start}`") }
+}
+
+/// The name of a file without its folder, for messages and metadata.
+pub(crate) fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }

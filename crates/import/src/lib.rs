@@ -1,78 +1,70 @@
-//! Recordings in other formats -> MCAP logs that a viewer opens and `ingest` reads.
+//! Converts recordings in other formats to MCAP logs, which viewers open and `ingest` reads.
 //!
-//! | format | what it is | file |
+//! | format | content | file |
 //! |---|---|---|
 //! | [`Format::Pcap`] | a network capture of a Velodyne sensor, libpcap or pcapng | `pcap/` |
 //! | [`Format::Nclt`] | raw files of the North Campus Long-Term data set | `nclt/` |
 //! | [`Format::Carmen`] | a log of the Carnegie Mellon Robot Navigation Toolkit | `carmen.rs` |
 //!
-//! Every reader streams its file from top to bottom; [`import`] merges the readers by time, so that
-//! memory does not grow with the recording. What cannot be used is counted by reason
-//! ([`Imported::dropped`]); a file that is something else altogether is an error that says what
-//! was found, where, and what was expected. The same recording gives the same bytes.
+//! Each reader streams its file from start to end. [`import`] merges the readers by time, and the
+//! memory that it needs does not grow with the length of the recording. Data that cannot be used is
+//! counted by kind and file ([`Imported::losses`]). A file with unexpected content is an error. The
+//! error states the place, what was found and what was expected. The same recording always gives
+//! the same bytes.
 //!
-//! The axes of all that is written are those of REP 103: x forward, y left, z up; maps have x east,
-//! y north where the recording knows it.
+//! All axes follow REP 103: x forward, y left, z up. In maps, x points east and y north if the
+//! recording contains these directions.
 //!
-//! ```no_run
-//! use std::{fs::File, io::BufWriter, path::PathBuf};
+//! ```
+//! use std::io::Cursor;
 //!
-//! let inputs = [PathBuf::from("drive.pcap")];
-//! let out = BufWriter::new(File::create("drive.mcap").unwrap());
-//! let imported = import::import(&inputs, &import::Options::default(), out, |_bytes| {}).unwrap();
-//! for topic in &imported.topics {
-//!     println!("{}: {} messages", topic.topic, topic.n_messages);
-//! }
-//! println!("not used: {}", imported.dropped);
+//! let folder = tempfile::tempdir()?;
+//! let log = folder.path().join("drive.log");
+//! // A scan of three readings, two poses, and the time.
+//! std::fs::write(&log, "FLASER 3 1.5 1.6 1.5 0 0 0 0 0 0 976052857.25 robot 0.1\n")?;
+//!
+//! let mut mcap = Cursor::new(Vec::new());
+//! let imported = import::import(&[log], &import::Options::default(), &mut mcap, |_n_bytes| {})?;
+//!
+//! assert_eq!(imported.format, import::Format::Carmen);
+//! let topics: Vec<&str> = imported.topics.iter().map(|topic| topic.topic.as_str()).collect();
+//! assert_eq!(topics, ["/odom", "/scan"]);
+//! assert!(imported.losses.is_empty());
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod axes;
 mod carmen;
 mod encode;
 mod error;
+mod format;
 mod input;
 mod nclt;
 mod options;
 mod pcap;
-mod recognise;
 mod record;
-mod rotation;
+mod sniff;
 mod write;
 
 use std::io::{Seek, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use dataset::Dropped;
+use dataset::Losses;
 
 pub use error::ImportError;
+pub use format::Format;
 pub use options::{Compression, Options, Topics};
-pub use recognise::{Format, recognise};
-pub use write::ImportedTopic;
+pub use sniff::sniff;
+pub use write::{Imported, ImportedTopic};
 
 use input::Meter;
-use record::{Losses, Record, Source};
+use record::{Record, Source};
 use write::LogWriter;
 
-/// What was written, and what was not.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Imported {
-    /// The recording's format.
-    pub format: Format,
-    /// Topics with their types and numbers of messages, by topic.
-    pub topics: Vec<ImportedTopic>,
-    /// Log time of the first message \[ns since the epoch\].
-    pub start_ns: i64,
-    /// Log time of the last message \[ns since the epoch\].
-    pub end_ns: i64,
-    /// Rows, packets and stretches that could not be used, by reason.
-    pub dropped: Dropped,
-    /// What is worth knowing and no loss, counted in the same way: other traffic of a capture,
-    /// lines of a log that hold no sensor data, stamps that step back.
-    pub remarks: Dropped,
-}
-
-/// The bytes of a recording: what `progress` of [`import`] counts up to, about.
+/// The total size of a recording \[bytes\], and approximately the last value that [`import`] passes
+/// to `progress`.
 pub fn input_bytes(inputs: &[PathBuf]) -> Result<u64, ImportError> {
-    let (_, files) = recognise::files(inputs)?;
+    let (_, files) = sniff::files(inputs)?;
     let sizes = files.iter().map(|path| match std::fs::metadata(path) {
         Ok(metadata) => Ok(metadata.len()),
         Err(source) => Err(ImportError::io("read", path, source)),
@@ -80,21 +72,22 @@ pub fn input_bytes(inputs: &[PathBuf]) -> Result<u64, ImportError> {
     sizes.sum()
 }
 
-/// Writes a recording as an MCAP log: profile `ros2`, CDR, chunks of about 1 MB, schemas carried.
+/// Writes a recording as an MCAP log: profile `ros2`, CDR messages, chunks of about 1 MB, with all
+/// schemas.
 ///
-/// `inputs` are files of one format (several parts of a capture, several files of an NCLT session)
-/// or an NCLT folder. Messages are in the order of their log time, which is the time in their
-/// header. Where that steps back within a file the log time is held at the latest one so far, the
-/// header and the publish time keep what was recorded, and [`Imported::remarks`] counts it.
+/// `inputs` are files of one format (several parts of a capture, or several files of an NCLT
+/// session) or an NCLT folder. Messages are sorted by log time. The log time is the time in the
+/// header. If that time steps back within a file, the log time stays at the latest time so far. The
+/// header and the publish time keep the recorded time, and [`Imported::losses`] counts the message.
 ///
-/// `progress` is told how many bytes have been read so far.
+/// `progress` is called with the number of bytes read so far.
 pub fn import(
     inputs: &[PathBuf],
     options: &Options,
     out: impl Write + Seek,
     progress: impl Fn(u64),
 ) -> Result<Imported, ImportError> {
-    let (format, files) = recognise::files(inputs)?;
+    let (format, files) = sniff::files(inputs)?;
     let meter = Meter::default();
     let mut losses = Losses::default();
     let mut sources = open(format, &files, options, &meter, &mut losses)?;
@@ -107,20 +100,21 @@ pub fn import(
     while let Some(earliest) = earliest(&heads) {
         let next = sources[earliest].next(&mut losses)?;
         let record = std::mem::replace(&mut heads[earliest], next);
-        writer.write(&record.expect("the earliest head is one"), &mut losses)?;
+        writer.write(&record.expect("the earliest head is a record"), &mut losses)?;
         progress(meter.bytes());
     }
     progress(meter.bytes());
     writer.finish(&files, losses)
 }
 
-/// The head with the earliest stamp; the first of several.
+/// The index of the head with the earliest stamp. Of equal stamps, the first.
 fn earliest(heads: &[Option<Record>]) -> Option<usize> {
     let stamps =
         heads.iter().enumerate().filter_map(|(k, head)| Some((head.as_ref()?.stamp_ns, k)));
     stamps.min().map(|(_, k)| k)
 }
 
+/// Opens a reader for each file.
 fn open(
     format: Format,
     files: &[PathBuf],
@@ -144,9 +138,4 @@ fn open(
         }
     }
     Ok(sources)
-}
-
-/// A file's name, for reasons and metadata.
-fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }

@@ -1,6 +1,6 @@
 use std::net::IpAddr;
 
-/// How chunks are compressed.
+/// The compression of the chunks of a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Compression {
     /// Zstandard, at its default level.
@@ -8,27 +8,28 @@ pub enum Compression {
     Zstd,
     /// LZ4 frames.
     Lz4,
-    /// Not at all.
+    /// No compression.
     None,
 }
 
-/// How a recording is imported.
+/// The options of an import.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// Of the chunks written.
+    /// The compression of the chunks.
     pub compression: Compression,
-    /// Names of the topics written.
+    /// The names of the topics.
     pub topics: Topics,
-    /// Captures: UDP port that the sensor's data goes to.
+    /// Captures: the UDP port of the data packets.
     pub udp_port: u16,
-    /// Captures: UDP port that the sensor's positions go to.
+    /// Captures: the UDP port of the position packets.
     pub position_port: u16,
-    /// Captures: the sensor's address; needed where a capture holds several sensors.
+    /// Captures: the IP address of the sensor. Required if a capture contains several sensors.
     pub source_ip: Option<IpAddr>,
 }
 
 impl Default for Options {
-    /// The ports are those of a sensor as it comes (HDL-32E manual 63-9113, "Ethernet and power").
+    /// The ports are the factory settings of the sensor (HDL-32E User's Manual 63-9113, "Ethernet
+    /// and power").
     fn default() -> Self {
         Self {
             compression: Compression::default(),
@@ -42,7 +43,7 @@ impl Default for Options {
 
 macro_rules! topics {
     ($($(#[$doc:meta])* $field:ident $kind:ident = $default:literal,)*) => {
-        /// Names of the topics written.
+        /// The names of the topics in the log.
         #[derive(Debug, Clone, PartialEq, Eq)]
         pub struct Topics {
             $($(#[$doc])* pub $field: String,)*
@@ -54,7 +55,7 @@ macro_rules! topics {
             }
         }
 
-        /// Where a record goes.
+        /// The topic of a record.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
         pub(crate) enum Topic {
             $($kind,)*
@@ -77,15 +78,15 @@ topics! {
     fix Fix = "/fix",
     /// NCLT: `NavSatFix` of the RTK receiver.
     fix_rtk FixRtk = "/fix_rtk",
-    /// NCLT: `PointCloud2`, one turn each.
+    /// NCLT: `PointCloud2`, one revolution per message.
     points Points = "/velodyne_points",
     /// NCLT: `Imu` of the Microstrain unit.
     imu Imu = "/imu/data",
-    /// NCLT: `Imu` with the heading of the fibre-optic gyro and its rate.
+    /// NCLT: `Imu` with the heading and the yaw rate of the fibre-optic gyro.
     kvh Kvh = "/kvh",
-    /// NCLT: `JointState` with the speeds of the wheels.
+    /// NCLT: `JointState` with the wheel speeds.
     wheels Wheels = "/wheel_states",
-    /// NCLT and CARMEN: `PoseStamped`, the true pose.
+    /// NCLT and CARMEN: `PoseStamped`, the ground truth.
     ground_truth GroundTruth = "/ground_truth",
     /// NCLT and CARMEN: `Odometry`.
     odom Odom = "/odom",

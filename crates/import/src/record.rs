@@ -1,24 +1,25 @@
-//! What the readers hand on: one message, not yet encoded.
+//! The output of the readers: messages that are not encoded yet.
 
-use dataset::Dropped;
+use dataset::Losses;
 use messages::hdl32e::PACKET_BYTES;
+use nalgebra::{Isometry3, UnitQuaternion};
 
-use crate::ImportError;
+use crate::error::ImportError;
 use crate::options::Topic;
 
-/// A message to be written.
+/// A message to write.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Record {
     pub topic: Topic,
-    /// Time in the header \[ns since the epoch\].
+    /// The time in the header \[ns since the epoch\].
     pub stamp_ns: i64,
     pub body: Body,
 }
 
-/// Axes as REP 103 has them: x forward, y left, z up.
+/// The content of a message. The axes follow REP 103: x forward, y left, z up.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Body {
-    /// Packets with their stamps \[ns since the epoch\].
+    /// Packets and their stamps \[ns since the epoch\].
     Packets(Vec<(i64, [u8; PACKET_BYTES])>),
     Cloud(Vec<Point>),
     Imu(Imu),
@@ -28,92 +29,79 @@ pub(crate) enum Body {
         /// \[m/s\]
         right: f64,
     },
-    Pose(Pose),
-    Odometry(Pose, Twist),
+    /// `map_from_base` \[m\].
+    Pose(Isometry3<f64>),
+    /// `odom_from_base` \[m\].
+    Odometry(Isometry3<f64>, Twist),
     Fix(Fix),
     Scan(Scan),
 }
 
-/// One return.
+/// One return of a cloud.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Point {
     /// \[m\]
     pub position: [f32; 3],
     /// 0 to 255.
     pub intensity: f32,
-    /// 0 is the lowest.
+    /// 0 is the lowest ring.
     pub ring: u16,
-    /// Since the cloud's stamp \[s\].
+    /// The time since the stamp of the cloud \[s\].
     pub time: f32,
 }
 
-/// What an inertial sensor measured; none is unknown.
+/// A measurement of an inertial sensor. `None` means unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Imu {
-    /// Quaternion (x, y, z, w).
-    pub orientation: Option<[f64; 4]>,
+    /// Rotation from the sensor to fixed axes.
+    pub orientation: Option<UnitQuaternion<f64>>,
     /// \[rad/s\]
     pub angular_velocity: [f64; 3],
     /// \[m/s²\]
     pub linear_acceleration: Option<[f64; 3]>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Pose {
-    /// \[m\]
-    pub position: [f64; 3],
-    /// Quaternion (x, y, z, w).
-    pub orientation: [f64; 4],
-}
-
-/// Speeds in the robot's frame.
+/// The velocity of the robot in its own frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Twist {
     /// \[m/s\]
     pub forward: f64,
-    /// \[rad/s\]
-    pub turn: f64,
+    /// Counter-clockwise seen from above \[rad/s\].
+    pub yaw_rate: f64,
 }
 
+/// A satellite fix.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Fix {
     /// \[deg, north\]
     pub latitude: f64,
     /// \[deg, east\]
     pub longitude: f64,
-    /// Above the ellipsoid \[m\]; NaN where it is not known.
+    /// Height above the ellipsoid \[m\]. NaN means unknown.
     pub altitude: f64,
 }
 
+/// A planar scan.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Scan {
-    /// \[rad\]
+    /// Angle of the first reading \[rad\].
     pub angle_min: f64,
-    /// \[rad\]
+    /// Angle from one reading to the next \[rad\].
     pub angle_increment: f64,
-    /// \[m\]
+    /// A reading of this range or more is not a return \[m\].
     pub range_max: f32,
     /// \[m\]
     pub ranges: Vec<f32>,
 }
 
-/// What a reader counts beside its records.
-#[derive(Debug, Default)]
-pub(crate) struct Losses {
-    /// What could not be used.
-    pub dropped: Dropped,
-    /// What is worth knowing and no loss.
-    pub remarks: Dropped,
-}
-
-/// One file, read from top to bottom.
+/// A reader of one file, from start to end.
 pub(crate) trait Source {
-    /// The next record, none at the end.
+    /// The next record, or `None` at the end of the file.
     fn next(&mut self, losses: &mut Losses) -> Result<Option<Record>, ImportError>;
 }
 
-/// Whether a ROS message can hold the time: its seconds are a signed 32-bit number, of which the
-/// negative ones mean nothing in ROS 1.
-pub(crate) fn representable(stamp_ns: i64) -> bool {
+/// Whether a ROS message can contain the time. Its seconds are a signed 32-bit number, and ROS 1 does
+/// not define negative seconds.
+pub(crate) fn is_representable(stamp_ns: i64) -> bool {
     (0..i64::from(i32::MAX) * 1_000_000_000).contains(&stamp_ns)
 }

@@ -1,35 +1,55 @@
-//! Records -> an MCAP file.
+//! Writes records to an MCAP file.
 
 use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use std::path::PathBuf;
 
+use dataset::{Loss, LossKind, Losses, Subject};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
 use messages::{Encoding, schemas};
 
 use crate::encode::{encode, message_type};
-use crate::options::{Topic, Topics};
-use crate::record::{Losses, Record, representable};
-use crate::{Compression, Format, ImportError, Imported, Options, file_name};
+use crate::error::ImportError;
+use crate::format::Format;
+use crate::input::file_name;
+use crate::options::{Compression, Options, Topic, Topics};
+use crate::record::{Record, is_representable};
 
-/// Uncompressed size of a chunk, about \[bytes\].
+/// The approximate uncompressed size of a chunk \[bytes\].
 const CHUNK_BYTES: u64 = 1 << 20;
-/// Zstandard's own default.
+/// The default of Zstandard.
 const ZSTD_LEVEL: u32 = 3;
 
-/// A topic that was written.
+/// The result of an import.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Imported {
+    /// The format of the recording.
+    pub format: Format,
+    /// The topics of the log with their types and numbers of messages, sorted by name.
+    pub topics: Vec<ImportedTopic>,
+    /// Log time of the first message \[ns since the epoch\].
+    pub start_ns: i64,
+    /// Log time of the last message \[ns since the epoch\].
+    pub end_ns: i64,
+    /// Data that was not imported, by kind and file. Kinds of severity `Warning` are sensor data
+    /// that could not be used. Kinds of severity `Info` are harmless, for example other traffic in a
+    /// capture, lines without sensor data, or stamps that step back.
+    pub losses: Losses,
+}
+
+/// A topic of the log.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ImportedTopic {
-    /// Its name.
+    /// The name of the topic.
     pub topic: String,
-    /// Its type, as `sensor_msgs/msg/LaserScan`.
+    /// The type of its messages, for example `sensor_msgs/msg/LaserScan`.
     pub message_type: String,
-    /// How many messages there are.
+    /// The number of messages.
     pub n_messages: u64,
 }
 
-/// The log under construction.
+/// Writes a log message by message.
 pub(crate) struct LogWriter<W: Write + Seek> {
     writer: Writer<W>,
     format: Format,
@@ -62,7 +82,7 @@ impl<W: Write + Seek> LogWriter<W> {
             .library("loopboost import")
             .compression(compression)
             .compression_level(level)
-            // With threads of its own Zstandard cuts the input, and gives other bytes.
+            // With threads, Zstandard splits its input, and the output has other bytes.
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES))
             .create(out)?;
@@ -82,15 +102,15 @@ impl<W: Write + Seek> LogWriter<W> {
         })
     }
 
-    /// Writes one message. Its log time is its stamp, or that of the message before if that is
-    /// later: a log is read by its log times.
+    /// Writes one message. The log time is the stamp, or the log time of the previous message if
+    /// that is later, because readers expect increasing log times.
     pub fn write(&mut self, record: &Record, losses: &mut Losses) -> Result<(), ImportError> {
-        debug_assert!(representable(record.stamp_ns), "readers count what is not");
+        debug_assert!(is_representable(record.stamp_ns), "readers drop other times");
         let (start_ns, latest_ns) = self.range_ns.unwrap_or((record.stamp_ns, record.stamp_ns));
         let log_ns = record.stamp_ns.max(latest_ns);
         if record.stamp_ns < log_ns {
-            let reason = "messages whose time steps back (logged at the time of the one before)";
-            losses.remarks.add(reason, 1);
+            let subject = Subject::topic(self.topics.name(record.topic));
+            losses.add(Loss::new(LossKind::MessageTimesStepBack, subject), 1);
         }
         self.range_ns = Some((start_ns, log_ns));
 
@@ -109,7 +129,7 @@ impl<W: Write + Seek> LogWriter<W> {
     fn channel(&mut self, topic: Topic) -> Result<&mut Channel, ImportError> {
         if !self.channels.contains_key(&topic) {
             let schema = schemas::of(message_type(topic), Encoding::Cdr)
-                .expect("every type that is written has a ROS 2 schema");
+                .expect("every message type of an import has a ROS 2 schema");
             let id =
                 self.writer.add_schema(schema.name, schema.encoding, schema.text.as_bytes())?;
             let name = self.topics.name(topic);
@@ -117,27 +137,24 @@ impl<W: Write + Seek> LogWriter<W> {
             let channel = Channel { id, message_type: schema.name, n_messages: 0 };
             self.channels.insert(topic, channel);
         }
-        Ok(self.channels.get_mut(&topic).expect("the channel was just made"))
+        Ok(self.channels.get_mut(&topic).expect("the channel was just inserted"))
     }
 
-    /// Ends the file. A recording of which nothing was used is an error.
+    /// Finishes the file. It is an error if no message was written.
     pub fn finish(mut self, files: &[PathBuf], losses: Losses) -> Result<Imported, ImportError> {
-        let Losses { dropped, remarks } = losses;
         let Some((start_ns, end_ns)) = self.range_ns else {
             let names: Vec<_> = files.iter().map(|path| path.display().to_string()).collect();
-            let found = match (dropped.is_empty(), remarks.is_empty()) {
-                (true, true) => "nothing at all".to_owned(),
-                (true, false) => remarks.to_string(),
-                (false, true) => dropped.to_string(),
-                (false, false) => format!("{dropped}, {remarks}"),
+            let found = match losses.is_empty() {
+                true => "no data".to_owned(),
+                false => losses.to_string(),
             };
             let expected = match self.format {
                 Format::Pcap => {
-                    "UDP datagrams of 1206 bytes to the sensor's data port (2368 unless \
-                     `udp_port` says otherwise) from the chosen sensor"
+                    "UDP datagrams of 1206 bytes from the selected sensor to its data port (2368, \
+                     or the port given by `--udp-port`)"
                 }
-                Format::Nclt => "packets of hits, or rows of numbers",
-                Format::Carmen => "FLASER, RLASER, ROBOTLASER1, ODOM or TRUEPOS lines",
+                Format::Nclt => "packets of velodyne_hits.bin, or rows of numbers",
+                Format::Carmen => "FLASER, RLASER, ROBOTLASER1, ROBOTLASER2, ODOM or TRUEPOS lines",
             };
             return Err(ImportError::Empty { inputs: names.join(", "), found, expected });
         };
@@ -152,6 +169,6 @@ impl<W: Write + Seek> LogWriter<W> {
             })
             .collect();
         topics.sort_by(|a, b| a.topic.cmp(&b.topic));
-        Ok(Imported { format: self.format, topics, start_ns, end_ns, dropped, remarks })
+        Ok(Imported { format: self.format, topics, start_ns, end_ns, losses })
     }
 }

@@ -7,35 +7,40 @@
 //!
 //! | file | columns | written as |
 //! |---|---|---|
-//! | `velodyne_hits.bin` | see [`hits`] | `PointCloud2`, a turn each |
-//! | `odometry_mu_100hz.csv`, else `odometry_mu.csv` | utime, x, y, z \[m\], roll, pitch, heading \[rad\] | `Odometry` |
+//! | `velodyne_hits.bin` | see [`hits`] and [`hit`] | `PointCloud2`, one revolution per message |
+//! | `odometry_mu_100hz.csv` or `odometry_mu.csv` | utime, x, y, z \[m\], roll, pitch, heading \[rad\] | `Odometry` |
 //! | `wheels.csv` | utime, left, right \[m/s\] | `JointState` |
-//! | `ms25.csv` | utime, magnetic field x, y, z (left out), acceleration x, y, z \[m/s²\], rates about x, y, z \[rad/s\] | `Imu` |
+//! | `ms25.csv` | utime, magnetic field x, y, z (not used), acceleration x, y, z \[m/s²\], rates about x, y, z \[rad/s\] | `Imu` |
 //! | `ms25_euler.csv` | utime, roll, pitch, heading \[rad\] | orientation of the `Imu` above |
 //! | `kvh.csv` | utime, heading \[rad\] | `Imu` |
 //! | `groundtruth_DATE.csv` | utime, x, y, z \[m\], roll, pitch, heading \[rad\] | `PoseStamped` |
 //! | `gps.csv`, `gps_rtk.csv` | utime, mode, satellites, latitude, longitude \[rad\], altitude \[m\], track, speed | `NavSatFix` |
 //!
-//! The data set's body frame has x forward, y right, z down, and its map x north, y east, z down.
-//! Here bodies have x forward, y left, z up, and the map x east, y north, z up; the odometry's
-//! frame, whose origin is arbitrary, turns with the body's.
+//! In the data set, the body frame has x forward, y right, z down, and the map has x north, y east,
+//! z down. In the log, body frames have x forward, y left, z up, and the map has x east, y north,
+//! z up. The odometry frame, whose origin is arbitrary, changes its axes like the body frame.
 //!
-//! Left alone: images, `velodyne_sync/` (the same hits, moved to the images' times), the Hokuyo
-//! scanners, and the covariances.
+//! Not imported: images, `velodyne_sync/` (the same hits, moved to the times of the images), the
+//! Hokuyo scanners, and the covariances.
 
-pub(crate) mod hits;
+mod hit;
+mod hits;
+mod revolution;
 mod rings;
 mod series;
 mod table;
 
 use std::path::{Path, PathBuf};
 
+use dataset::{Loss, LossKind, Losses, Subject};
+
 use crate::error::ImportError;
-use crate::input::{Meter, bytes, read_full};
-use crate::record::{Losses, Source};
+use crate::input::{Meter, bytes, file_name, read_full};
+use crate::options::Topic;
+use crate::record::Source;
 pub(crate) use hits::is_hits;
 
-/// The files that are known.
+/// The kinds of files that are imported.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Hits,
@@ -50,7 +55,7 @@ enum Kind {
     GpsRtk,
 }
 
-/// What a file is, by its name.
+/// The kind of a file, from its name.
 fn kind_of_name(path: &Path) -> Option<Kind> {
     let name = path.file_name()?.to_str()?;
     Some(match name {
@@ -68,17 +73,17 @@ fn kind_of_name(path: &Path) -> Option<Kind> {
     })
 }
 
-/// Whether a file's name is one of the data set's.
+/// Whether the name of a file belongs to the data set.
 pub(crate) fn is_known(path: &Path) -> bool {
     kind_of_name(path).is_some()
 }
 
-/// Whether a file's name is that of one of the data set's tables.
+/// Whether the name of a file is that of a table of the data set.
 pub(crate) fn is_table(path: &Path) -> bool {
     kind_of_name(path).is_some_and(|kind| kind != Kind::Hits)
 }
 
-/// A source a file.
+/// Opens a reader for each file that gives messages.
 pub(crate) fn open(
     files: &[PathBuf],
     meter: &Meter,
@@ -94,7 +99,8 @@ pub(crate) fn open(
         sources.push(match kind {
             Kind::Hits => Box::new(hits::Hits::open(path, meter)?),
             Kind::Odometry if path_of(Kind::Odometry100Hz).is_some() => {
-                losses.remarks.add("odometry_mu.csv beside odometry_mu_100hz.csv, not needed", 1);
+                let used = "odometry_mu_100hz.csv".to_owned();
+                losses.add(loss(path, LossKind::SupersededFile { used }), 1);
                 continue;
             }
             Kind::Odometry | Kind::Odometry100Hz => series::odometry(path, meter)?,
@@ -105,20 +111,25 @@ pub(crate) fn open(
             }
             Kind::Euler => {
                 if path_of(Kind::Ms25).is_none() {
-                    losses.dropped.add("ms25_euler.csv without the ms25.csv that it belongs to", 1);
+                    let partner = "ms25.csv".to_owned();
+                    losses.add(loss(path, LossKind::FileWithoutPartner { partner }), 1);
                 }
                 continue;
             }
             Kind::Kvh => Box::new(series::Kvh::open(path, meter)?),
             Kind::GroundTruth => series::ground_truth(path, meter)?,
-            Kind::Gps => series::gps(path, crate::options::Topic::Fix, meter)?,
-            Kind::GpsRtk => series::gps(path, crate::options::Topic::FixRtk, meter)?,
+            Kind::Gps => series::gps(path, Topic::Fix, meter)?,
+            Kind::GpsRtk => series::gps(path, Topic::FixRtk, meter)?,
         });
     }
     Ok(sources)
 }
 
-/// What a file is, by its name, or by its content where it was renamed.
+fn loss(path: &Path, kind: LossKind) -> Loss {
+    Loss::new(kind, Subject::file(file_name(path)))
+}
+
+/// The kind of a file, from its name, or from its content if the file was renamed.
 fn kind(path: &Path) -> Result<Kind, ImportError> {
     if let Some(kind) = kind_of_name(path) {
         return Ok(kind);
@@ -128,11 +139,11 @@ fn kind(path: &Path) -> Result<Kind, ImportError> {
         .map_err(|source| ImportError::io("read", path, source))?;
     match is_hits(&head[..n]) {
         true => Ok(Kind::Hits),
-        false => Err(ImportError::foreign(
+        false => Err(ImportError::unexpected(
             path,
             "byte 0",
             format!("{:02x?}", &head[..n]),
-            "the packets of velodyne_hits.bin",
+            "9c ad four times, the start of every packet of velodyne_hits.bin",
         )),
     }
 }

@@ -1,31 +1,31 @@
-//! The ring of each laser, told by where its hits lie.
+//! Finds the ring of each laser from the elevations of its hits.
 //!
-//! The files number the lasers from 0 to 31, and their documentation does not say in which order.
-//! An HDL-32E has its beams every 4/3 deg, fires them interleaved ([`ELEVATION_DEG`]), and may hang
-//! upside down; so the elevations of a turn's hits are held against every order that a driver could
-//! have meant, and the one that fits is taken.
+//! The files number the lasers from 0 to 31, and the documentation does not state the order. An
+//! HDL-32E has a beam every 4/3 deg, fires the beams interleaved ([`ELEVATION_DEG`]), and may be
+//! mounted upside down. The elevations of the hits of one revolution are compared with every
+//! plausible order, and the order that fits is used.
 
 use messages::hdl32e::{ELEVATION_DEG, LASERS};
 
-use super::hits::Hit;
+use super::hit::Hit;
 
-/// Ring of each laser, 0 the lowest in z-up axes.
+/// The ring of each laser. Ring 0 is the lowest in z-up axes.
 pub(super) type Rings = [u16; LASERS];
 
-/// Elevation of the lowest beam of an upright sensor, and from one to the next \[deg\] (manual,
-/// "Laser angles").
+/// The elevation of the lowest beam of an upright sensor, and the step between beams \[deg\]
+/// (manual, "Laser angles").
 const LOWEST_DEG: f64 = -92.0 / 3.0;
 const STEP_DEG: f64 = 4.0 / 3.0;
-/// Nearer hits say little: at 2 m the file's 5 mm are 0.14 deg, a tenth of a step \[m\].
+/// The minimum range of a hit \[m\]. At 2 m the resolution of 5 mm is 0.14 deg, a tenth of a step.
 const MIN_RANGE_M: f64 = 2.0;
-/// Hits needed to tell: one a laser.
+/// The minimum number of hits: one per laser.
 const MIN_HITS: usize = LASERS;
-/// What an order that fits may be off on average \[deg\]: three quarters of a step, which allows for
-/// a sensor that leans. Another order is off by some steps.
+/// The maximum mean deviation of an order that fits \[deg\]: three quarters of a step, for a sensor
+/// that is tilted. Every other order deviates by several steps.
 const MAX_MEAN_DEG: f64 = 1.0;
 
-/// The rings that fit the hits best; none where no order fits or there are too few hits.
-pub(super) fn tell(hits: &[Hit]) -> Option<Rings> {
+/// The rings that fit the hits best, or `None` if no order fits or there are too few hits.
+pub(super) fn identify(hits: &[Hit]) -> Option<Rings> {
     let measured: Vec<(usize, f64)> = hits.iter().filter_map(elevation_deg).collect();
     if measured.len() < MIN_HITS {
         return None;
@@ -41,8 +41,8 @@ pub(super) fn tell(hits: &[Hit]) -> Option<Rings> {
     (best.0 <= MAX_MEAN_DEG).then(|| ranks(&best.1))
 }
 
-/// Elevation of each laser \[deg\], in firing order, from the lowest up, from the highest down; and
-/// each of a sensor that hangs upside down.
+/// The elevation of each laser \[deg\] in every plausible order: in firing order, from the lowest up,
+/// from the highest down, and each of these for a sensor mounted upside down.
 fn orders() -> [[f64; LASERS]; 6] {
     let up = std::array::from_fn(|laser| LOWEST_DEG + laser as f64 * STEP_DEG);
     let mut down: [f64; LASERS] = up;
@@ -57,9 +57,9 @@ fn ranks(elevations: &[f64; LASERS]) -> Rings {
 
 fn elevation_deg(hit: &Hit) -> Option<(usize, f64)> {
     let [x, y, z] = hit.position;
-    let level = libm::hypot(x, y);
-    let far = MIN_RANGE_M <= libm::hypot(level, z);
-    far.then(|| (usize::from(hit.laser), libm::atan2(z, level).to_degrees()))
+    let horizontal = libm::hypot(x, y);
+    let is_far = MIN_RANGE_M <= libm::hypot(horizontal, z);
+    is_far.then(|| (usize::from(hit.laser), libm::atan2(z, horizontal).to_degrees()))
 }
 
 #[cfg(test)]
@@ -76,22 +76,22 @@ mod tests {
     }
 
     #[test]
-    fn every_order_is_told() {
+    fn every_order_is_identified() {
         for expected in orders() {
-            // Leaning by half a degree.
-            let rings = tell(&hits(expected.map(|deg| deg + 0.5))).unwrap();
+            // The sensor is tilted by half a degree.
+            let rings = identify(&hits(expected.map(|deg| deg + 0.5))).unwrap();
             assert_eq!(rings, ranks(&expected));
         }
-        // Firing order: laser 0 is the lowest, laser 15 the horizontal one, ring 23; hanging upside
-        // down that is ring 8.
-        assert_eq!(tell(&hits(ELEVATION_DEG)).unwrap()[15], 23);
-        assert_eq!(tell(&hits(ELEVATION_DEG.map(|deg| -deg))).unwrap()[15], 8);
+        // In firing order, laser 0 is the lowest, and laser 15 is the horizontal one, ring 23. Upside
+        // down it is ring 8.
+        assert_eq!(identify(&hits(ELEVATION_DEG)).unwrap()[15], 23);
+        assert_eq!(identify(&hits(ELEVATION_DEG.map(|deg| -deg))).unwrap()[15], 8);
     }
 
     #[test]
-    fn hits_of_no_order_tell_nothing() {
+    fn unknown_order_or_too_few_hits_give_no_rings() {
         let far_from_all = std::array::from_fn(|laser| if laser % 3 == 0 { 60.0 } else { -60.0 });
-        assert_eq!(tell(&hits(far_from_all)), None);
-        assert_eq!(tell(&hits(ELEVATION_DEG)[..31]), None);
+        assert_eq!(identify(&hits(far_from_all)), None);
+        assert_eq!(identify(&hits(ELEVATION_DEG)[..31]), None);
     }
 }

@@ -1,19 +1,21 @@
-//! Tables of numbers, separated by commas, the first a time.
+//! Reads tables of numbers separated by commas. The first column is a time.
 
 use std::path::Path;
 
-use crate::error::ImportError;
-use crate::input::{Line, Lines, Meter, excerpt};
-use crate::record::{Losses, representable};
+use dataset::{Loss, LossKind, Losses, Subject};
 
-/// A table of `N` columns beside the time.
+use crate::error::ImportError;
+use crate::input::{Line, Lines, Meter, excerpt, file_name};
+use crate::record::is_representable;
+
+/// A table of a time and `N` more columns.
 pub(super) struct Table<const N: usize> {
     lines: Lines,
-    name: String,
-    /// What a row consists of, for errors.
+    /// The columns, for messages.
     columns: &'static str,
-    /// Whether a row was understood; before, a line that is not is no damage but another format.
-    sound: bool,
+    /// Whether any row was parsed. Before the first one, a line that does not parse is an error,
+    /// because the file probably has another format. After it, such a line is a loss.
+    has_row: bool,
 }
 
 /// One row.
@@ -27,11 +29,11 @@ pub(super) struct Row<const N: usize> {
 impl<const N: usize> Table<N> {
     pub fn open(path: &Path, columns: &'static str, meter: &Meter) -> Result<Self, ImportError> {
         let lines = Lines::open(path, meter)?;
-        Ok(Self { lines, name: crate::file_name(path), columns, sound: false })
+        Ok(Self { lines, columns, has_row: false })
     }
 
-    /// The next row that is understood; its values may be no numbers (NaN). Comments (`#`), empty
-    /// lines and one line of column names are passed over, all else is counted.
+    /// The next row. Its values can be NaN. Comments (`#`), empty lines and one line with column
+    /// names are skipped. All other lines are counted as losses.
     pub fn next(&mut self, losses: &mut Losses) -> Result<Option<Row<N>>, ImportError> {
         while let Some(line) = self.lines.next()? {
             let text = line.text.trim();
@@ -39,42 +41,36 @@ impl<const N: usize> Table<N> {
                 continue;
             }
             match row(text) {
-                Some(row) if !representable(row.stamp_ns) => {
-                    let reason = format!("rows of {} before 1970 or after 2037", self.name);
-                    losses.dropped.add(reason, 1);
+                Some(row) if !is_representable(row.stamp_ns) => {
+                    let kind = LossKind::TimesOutOfRange { item: "row".to_owned() };
+                    losses.add(self.loss(kind), 1);
                 }
                 Some(row) => {
-                    self.sound = true;
-                    if !line.whole {
-                        let reason = format!("last rows of {} without a line's end", self.name);
-                        losses.remarks.add(reason, 1);
+                    self.has_row = true;
+                    if !line.is_complete {
+                        losses.add(self.loss(LossKind::RowWithoutLineEnd), 1);
                     }
                     return Ok(Some(row));
                 }
                 None if line.number == 1 && text.starts_with(char::is_alphabetic) => {}
-                None if !self.sound => return Err(self.foreign(&line)),
+                None if !self.has_row => return Err(self.unexpected(&line)),
                 None => {
-                    let reason = format!("rows of {} that are not {}", self.name, self.columns);
-                    losses.dropped.add(reason, 1);
+                    let kind = LossKind::MalformedRows { columns: self.columns.to_owned() };
+                    losses.add(self.loss(kind), 1);
                 }
             }
         }
         Ok(None)
     }
 
-    /// Counts a row that has a value which is no number.
-    pub fn not_a_number(&self, losses: &mut Losses) {
-        let reason = format!("rows of {} with a value that is no number (NaN)", self.name);
-        losses.dropped.add(reason, 1);
+    /// A loss of this file.
+    pub fn loss(&self, kind: LossKind) -> Loss {
+        Loss::new(kind, Subject::file(file_name(self.lines.path())))
     }
 
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn foreign(&self, line: &Line) -> ImportError {
+    fn unexpected(&self, line: &Line) -> ImportError {
         let place = format!("line {}", line.number);
-        ImportError::foreign(self.lines.path(), place, excerpt(&line.text), self.columns)
+        ImportError::unexpected(self.lines.path(), place, excerpt(&line.text), self.columns)
     }
 }
 
@@ -88,8 +84,8 @@ fn row<const N: usize>(text: &str) -> Option<Row<N>> {
     Some(Row { stamp_ns, values })
 }
 
-/// Microseconds since the epoch, as a whole number or in floating point, which holds them exactly
-/// up to 2^53 (the year 2255).
+/// Parses microseconds since the epoch. The text is an integer, or a floating-point number without
+/// a fraction. Floating-point numbers are exact up to 2^53 (the year 2255).
 fn utime_ns(text: &str) -> Option<i64> {
     const EXACT: f64 = (1_u64 << 53) as f64;
     let us = match text.parse() {
@@ -107,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn microseconds_are_whole_numbers_or_floats_that_hold_them() {
+    fn times_are_integers_or_floats_without_a_fraction() {
         assert_eq!(utime_ns("1326030975726043"), Some(1_326_030_975_726_043_000));
         assert_eq!(utime_ns("1.326030975726043e+15"), Some(1_326_030_975_726_043_000));
         assert_eq!(utime_ns("1326030975726043.5"), None);
@@ -116,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_has_all_its_columns() {
+    fn a_row_with_a_missing_column_does_not_parse() {
         assert_eq!(row::<1>("1,2.5"), Some(Row { stamp_ns: 1000, values: [2.5] }));
         assert_eq!(row::<2>("1,2.5"), None);
         assert!(row::<1>("1, NaN ").unwrap().values[0].is_nan());

@@ -1,45 +1,59 @@
-//! A capture file -> frames with their times.
+//! Reads the frames of a capture file and their times.
 //!
-//! Sources: pcap-savefile(5) and draft-ietf-opsawg-pcapng ("PCAP Next Generation"). The container
-//! is read by `pcap-parser`, which knows both byte orders, micro- and nanoseconds, sections and
-//! interfaces; this file turns its blocks into frames and says what stopped it.
+//! Sources: pcap-savefile(5) and draft-ietf-opsawg-pcapng ("PCAP Next Generation"). `pcap-parser`
+//! reads the container and supports both byte orders, micro- and nanoseconds, sections and
+//! interfaces. This file converts its blocks to frames and reports where reading stopped.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
+use dataset::{Loss, LossKind, Losses, Subject};
 use pcap_parser::pcapng::{Block, EnhancedPacketBlock};
 use pcap_parser::traits::PcapReaderIterator;
 use pcap_parser::{LegacyPcapReader, Linktype, PcapBlockOwned, PcapError, PcapNGReader};
 
 use crate::error::ImportError;
-use crate::input::{Meter, Metered, bytes, read_full};
-use crate::recognise::PCAPNG_MAGIC;
-use crate::record::Losses;
+use crate::input::{Meter, Metered, bytes, file_name, read_full};
 
-/// Buffer to begin with; a frame of Ethernet takes 1.5 kB.
+/// First four bytes of a libpcap file, in the byte order of the machine that wrote it
+/// (pcap-savefile(5)): microseconds, nanoseconds, and Kuznetzov's modified format.
+const PCAP_MAGICS: [u32; 3] = [0xA1B2_C3D4, 0xA1B2_3C4D, 0xA1B2_CD34];
+/// First four bytes of a pcapng file: the type of its section header (draft-ietf-opsawg-pcapng,
+/// section 4.1). They are the same in both byte orders.
+const PCAPNG_MAGIC: u32 = 0x0A0D_0D0A;
+
+/// Initial size of the buffer. An Ethernet frame has at most 1.5 kB.
 const BUFFER_BYTES: usize = 1 << 18;
-/// The largest record that is read. libpcap writes no snapshot above 256 KiB; a pcapng section can
-/// hold larger blocks that are no packets.
+/// The largest block that is read. libpcap limits a packet to 256 KiB. A pcapng section can contain
+/// larger blocks that are not packets.
 const MAX_BUFFER_BYTES: usize = 1 << 24;
 const SECOND_NS: i128 = 1_000_000_000;
 
+/// Whether a file starts like a libpcap or pcapng capture.
+pub(crate) fn is_capture(head: &[u8]) -> bool {
+    head.first_chunk::<4>().is_some_and(|magic| {
+        let (little, big) = (u32::from_le_bytes(*magic), u32::from_be_bytes(*magic));
+        PCAP_MAGICS.contains(&little) || PCAP_MAGICS.contains(&big) || little == PCAPNG_MAGIC
+    })
+}
+
 /// One captured frame.
 pub(super) struct Frame<'a> {
-    /// When it was captured \[ns since the epoch\].
+    /// The capture time \[ns since the epoch\].
     pub stamp_ns: i64,
     pub link: Linktype,
     pub bytes: &'a [u8],
-    /// Whether the capture kept less than was on the wire.
-    pub cut: bool,
+    /// Whether the capture contains only a part of the frame.
+    pub is_truncated: bool,
 }
 
-/// What tells how to read the frames of one interface.
+/// How to read the frames of one interface.
 #[derive(Debug, Clone, Copy)]
 struct Interface {
     link: Linktype,
-    /// Units of its times in a second.
+    /// The number of time units per second.
     units: u64,
-    /// Added to its times \[s\].
+    /// The offset that is added to the times \[s\].
     offset_s: i64,
 }
 
@@ -48,28 +62,31 @@ pub(super) struct Frames {
     path: PathBuf,
     reader: Box<dyn PcapReaderIterator>,
     capacity: usize,
-    /// Of the section under way; a libpcap file has one.
+    /// The interfaces of the current section. A libpcap file has one.
     interfaces: Vec<Interface>,
-    /// The frame handed out last.
+    /// The bytes of the last frame.
     frame: Vec<u8>,
     ended: bool,
 }
 
-/// A block without its borrow of the reader; a packet's bytes lie in [`Frames::frame`].
+/// A block that does not borrow from the reader. The bytes of a packet are in [`Frames::frame`].
 enum Event {
-    Packet { interface: usize, ticks: u64, cut: bool },
+    Packet { interface: usize, ticks: u64, is_truncated: bool },
     Untimed,
     Other,
 }
 
-/// Why there is no block.
+/// Why no block was read.
 enum Stop {
     End,
-    Cut,
+    /// The file ends within a block.
+    Truncated,
     Damaged,
-    More,
-    Grow,
-    Read,
+    /// The buffer needs more bytes of the file.
+    NeedsMore,
+    /// The buffer is too small for the block.
+    NeedsGrowth,
+    ReadFailed,
 }
 
 impl Frames {
@@ -83,10 +100,10 @@ impl Frames {
             _ => LegacyPcapReader::new(BUFFER_BYTES, file).map(|r| Box::new(r) as _),
         };
         let reader = reader.map_err(|_| {
-            ImportError::foreign(
+            ImportError::unexpected(
                 path,
                 "byte 0",
-                "a file header that is cut or damaged",
+                "a truncated or damaged file header",
                 "the header of a libpcap or pcapng file",
             )
         })?;
@@ -100,13 +117,14 @@ impl Frames {
         })
     }
 
-    /// The next frame that has a time. A file that is cut or damaged ends there; that is counted.
+    /// The next frame with a time. A truncated or damaged file ends at the damage, which is counted
+    /// as a loss.
     pub fn next(&mut self, losses: &mut Losses) -> Result<Option<Frame<'_>>, ImportError> {
         while !self.ended {
             match self.event() {
-                Ok(Event::Packet { interface, ticks, cut }) => {
+                Ok(Event::Packet { interface, ticks, is_truncated }) => {
                     let Some(&interface) = self.interfaces.get(interface) else {
-                        losses.dropped.add("packets of an interface that is not described", 1);
+                        losses.add(self.loss(LossKind::PacketsOfUnknownInterface), 1);
                         continue;
                     };
                     let stamp_ns = interface.stamp_ns(ticks);
@@ -114,19 +132,17 @@ impl Frames {
                         stamp_ns,
                         link: interface.link,
                         bytes: &self.frame,
-                        cut,
+                        is_truncated,
                     }));
                 }
-                Ok(Event::Untimed) => {
-                    losses.dropped.add("packets without a time (simple packet blocks)", 1);
-                }
+                Ok(Event::Untimed) => losses.add(self.loss(LossKind::PacketsWithoutTime), 1),
                 Ok(Event::Other) => {}
-                Err(Stop::More) => self.refill(losses)?,
-                Err(Stop::Grow) => self.grow(losses),
-                Err(Stop::Read) => return Err(self.read_error()),
+                Err(Stop::NeedsMore) => self.refill(losses)?,
+                Err(Stop::NeedsGrowth) => self.grow(losses),
+                Err(Stop::ReadFailed) => return Err(self.read_error()),
                 Err(Stop::End) => self.ended = true,
-                Err(Stop::Cut) => {
-                    losses.dropped.add("captures cut within a packet (what is whole is kept)", 1);
+                Err(Stop::Truncated) => {
+                    losses.add(self.loss(LossKind::TruncatedCapture), 1);
                     self.ended = true;
                 }
                 Err(Stop::Damaged) => self.damaged(losses),
@@ -135,16 +151,16 @@ impl Frames {
         Ok(None)
     }
 
-    /// The next block; a packet is copied out of the reader.
+    /// Reads the next block. The bytes of a packet are copied to `self.frame`.
     fn event(&mut self) -> Result<Event, Stop> {
         let Self { reader, interfaces, frame, .. } = self;
         let (length, block) = match reader.next() {
             Ok(read) => read,
             Err(PcapError::Eof) => return Err(Stop::End),
-            Err(PcapError::UnexpectedEof) => return Err(Stop::Cut),
-            Err(PcapError::Incomplete(_)) => return Err(Stop::More),
-            Err(PcapError::BufferTooSmall) => return Err(Stop::Grow),
-            Err(PcapError::ReadError) => return Err(Stop::Read),
+            Err(PcapError::UnexpectedEof) => return Err(Stop::Truncated),
+            Err(PcapError::Incomplete(_)) => return Err(Stop::NeedsMore),
+            Err(PcapError::BufferTooSmall) => return Err(Stop::NeedsGrowth),
+            Err(PcapError::ReadError) => return Err(Stop::ReadFailed),
             Err(_) => return Err(Stop::Damaged),
         };
         let event = match block {
@@ -159,7 +175,8 @@ impl Frames {
                 frame.extend_from_slice(block.data);
                 let units = interfaces.first().map_or(1, |interface| interface.units);
                 let ticks = u64::from(block.ts_sec) * units + u64::from(block.ts_usec);
-                Event::Packet { interface: 0, ticks, cut: block.caplen < block.origlen }
+                let is_truncated = block.caplen < block.origlen;
+                Event::Packet { interface: 0, ticks, is_truncated }
             }
             PcapBlockOwned::NG(Block::SectionHeader(_)) => {
                 interfaces.clear();
@@ -168,7 +185,7 @@ impl Frames {
             PcapBlockOwned::NG(Block::InterfaceDescription(block)) => {
                 interfaces.push(Interface {
                     link: block.linktype,
-                    // A resolution beyond 64 bits: such times mean nothing.
+                    // A resolution that does not fit into 64 bits gives meaningless times.
                     units: block.ts_resolution().unwrap_or(u64::MAX),
                     offset_s: block.ts_offset(),
                 });
@@ -178,8 +195,8 @@ impl Frames {
                 frame.clear();
                 frame.extend_from_slice(packet_data(&block));
                 let ticks = u64::from(block.ts_high) << 32 | u64::from(block.ts_low);
-                let cut = block.caplen < block.origlen;
-                Event::Packet { interface: block.if_id as usize, ticks, cut }
+                let is_truncated = block.caplen < block.origlen;
+                Event::Packet { interface: block.if_id as usize, ticks, is_truncated }
             }
             PcapBlockOwned::NG(Block::SimplePacket(_)) => Event::Untimed,
             PcapBlockOwned::NG(_) => Event::Other,
@@ -207,30 +224,31 @@ impl Frames {
     }
 
     fn damaged(&mut self, losses: &mut Losses) {
-        let reason = format!(
-            "captures damaged at byte {} ({}; what comes before is kept)",
-            self.reader.consumed(),
-            crate::file_name(&self.path)
-        );
-        losses.dropped.add(reason, 1);
+        let at_byte = self.reader.consumed() as u64;
+        losses.add(self.loss(LossKind::DamagedCapture { at_byte }), 1);
         self.ended = true;
     }
 
     fn read_error(&self) -> ImportError {
-        let place = format!("reading failed after byte {}", self.reader.consumed());
-        ImportError::io("read", &self.path, io::Error::other(place))
+        let cause = format!("the read failed after byte {}", self.reader.consumed());
+        ImportError::io("read", &self.path, io::Error::other(cause))
+    }
+
+    fn loss(&self, kind: LossKind) -> Loss {
+        Loss::new(kind, Subject::file(file_name(&self.path)))
     }
 }
 
 impl Interface {
-    /// A time of this interface; one that does not fit is far beyond all that can be written.
+    /// A time of this interface. A time that does not fit into 64 bits becomes the latest time, which
+    /// no message can contain.
     fn stamp_ns(self, ticks: u64) -> i64 {
         let ns = i128::from(ticks) * SECOND_NS / i128::from(self.units.max(1));
         i64::try_from(ns + i128::from(self.offset_s) * SECOND_NS).unwrap_or(i64::MAX)
     }
 }
 
-/// A packet's bytes without the padding.
+/// The bytes of a packet without the padding.
 fn packet_data<'a>(block: &EnhancedPacketBlock<'a>) -> &'a [u8] {
     block.data.get(..block.caplen as usize).unwrap_or(block.data)
 }

@@ -1,42 +1,55 @@
-//! A captured frame -> the UDP datagram in it.
+//! Extracts the UDP datagram from a captured frame.
 //!
-//! Link types: tcpdump.org/linktypes.html. What lies below IP is read by `etherparse`.
+//! Link types: tcpdump.org/linktypes.html. `etherparse` parses Ethernet, IP and UDP headers.
 
 use std::net::IpAddr;
 
+use dataset::LossKind;
 use etherparse::{EtherType, LinkExtSlice, NetSlice, SlicedPacket, TransportSlice};
 use pcap_parser::Linktype;
 
 use super::container::Frame;
 
-/// BSD and OpenBSD number raw IP differently from the rest.
+/// Link types of raw IP on BSD and OpenBSD, which differ from other systems.
 const BSD_RAW_IP: [i32; 2] = [12, 14];
-/// Bytes of a Linux cooked header, and where the protocol stands in it (LINKTYPE_LINUX_SLL).
+/// Size of a Linux cooked header and offset of its protocol field \[bytes\] (LINKTYPE_LINUX_SLL).
 const SLL: (usize, usize) = (16, 14);
-/// The same of its second version (LINKTYPE_LINUX_SLL2).
+/// The same for the second version of the header (LINKTYPE_LINUX_SLL2).
 const SLL2: (usize, usize) = (20, 0);
-/// Bytes of the address family before a packet of a loopback interface (LINKTYPE_NULL, _LOOP).
+/// Size of the address family that precedes a packet of a loopback interface \[bytes\]
+/// (LINKTYPE_NULL, LINKTYPE_LOOP).
 const FAMILY_BYTES: usize = 4;
 
 /// A UDP datagram.
 pub(super) struct Datagram<'a> {
     pub source: IpAddr,
-    /// Where it went.
+    /// The destination port.
     pub port: u16,
     pub payload: &'a [u8],
 }
 
-/// What a frame is that holds no datagram, in the plural.
+/// Why a frame has no datagram.
 pub(super) enum NotUdp {
-    /// Other traffic.
+    /// The frame has another protocol.
     Other(&'static str),
-    /// May have been a datagram.
+    /// The frame may contain a datagram, but it cannot be decoded.
     Undecodable(&'static str),
 }
 
-const MALFORMED: NotUdp = NotUdp::Undecodable("frames whose headers do not decode");
+impl NotUdp {
+    /// The loss for a frame without a datagram.
+    pub fn loss_kind(self, is_truncated: bool) -> LossKind {
+        match self {
+            Self::Other(protocol) => LossKind::FramesNotUdp { protocol: protocol.to_owned() },
+            Self::Undecodable(_) if is_truncated => LossKind::TruncatedFrames,
+            Self::Undecodable(fault) => LossKind::UndecodableFrames { fault: fault.to_owned() },
+        }
+    }
+}
 
-/// The datagram of a frame, whole.
+const MALFORMED: NotUdp = NotUdp::Undecodable("malformed headers");
+
+/// The complete datagram of a frame.
 pub(super) fn datagram<'a>(frame: &Frame<'a>) -> Result<Datagram<'a>, NotUdp> {
     let bytes = frame.bytes;
     let packet = match frame.link {
@@ -48,7 +61,7 @@ pub(super) fn datagram<'a>(frame: &Frame<'a>) -> Result<Datagram<'a>, NotUdp> {
         Linktype::NULL | Linktype::LOOP => {
             SlicedPacket::from_ip(bytes.get(FAMILY_BYTES..).ok_or(MALFORMED)?)
         }
-        _ => return Err(NotUdp::Undecodable("frames of a link type that is not known")),
+        _ => return Err(NotUdp::Undecodable("unknown link type")),
     };
     of_packet(packet.map_err(|_| MALFORMED)?)
 }
@@ -68,21 +81,19 @@ fn of_packet(packet: SlicedPacket<'_>) -> Result<Datagram<'_>, NotUdp> {
         Some(NetSlice::Ipv6(ip)) => {
             (IpAddr::from(ip.header().source_addr()), ip.is_payload_fragmented())
         }
-        Some(NetSlice::Arp(_)) => return Err(NotUdp::Other("ARP frames")),
+        Some(NetSlice::Arp(_)) => return Err(NotUdp::Other("ARP")),
         None if packet.link_exts.iter().any(|ext| matches!(ext, LinkExtSlice::Macsec(_))) => {
-            return Err(NotUdp::Undecodable("frames encrypted by MACsec"));
+            return Err(NotUdp::Undecodable("encrypted by MACsec"));
         }
-        None => return Err(NotUdp::Other("frames that are neither IP nor ARP")),
+        None => return Err(NotUdp::Other("neither IP nor ARP")),
     };
     match packet.transport {
-        _ if fragmented => Err(NotUdp::Undecodable("fragments of IP packets")),
+        _ if fragmented => Err(NotUdp::Undecodable("IP fragment")),
         Some(TransportSlice::Udp(udp)) => {
             Ok(Datagram { source, port: udp.destination_port(), payload: udp.payload() })
         }
-        Some(TransportSlice::Tcp(_)) => Err(NotUdp::Other("TCP segments")),
-        Some(TransportSlice::Icmpv4(_) | TransportSlice::Icmpv6(_)) => {
-            Err(NotUdp::Other("ICMP messages"))
-        }
-        _ => Err(NotUdp::Other("IP packets that are neither UDP, TCP nor ICMP")),
+        Some(TransportSlice::Tcp(_)) => Err(NotUdp::Other("TCP")),
+        Some(TransportSlice::Icmpv4(_) | TransportSlice::Icmpv6(_)) => Err(NotUdp::Other("ICMP")),
+        _ => Err(NotUdp::Other("another IP protocol")),
     }
 }

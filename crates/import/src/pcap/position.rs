@@ -1,22 +1,22 @@
-//! The position packet's NMEA sentence.
+//! Parses the NMEA sentence of a position packet.
 //!
-//! Source: HDL-32E User's Manual 63-9113, "Position packet": 512 bytes, from byte 206 on the
-//! `$GPRMC` sentence of the GPS receiver, 0 after its end; NMEA 0183 for the sentence itself. The
-//! sentence is looked for in the whole packet: other firmware puts it elsewhere.
+//! Sources: HDL-32E User's Manual 63-9113, "Position packet", and NMEA 0183. A position packet has
+//! 512 bytes. The `$GPRMC` sentence of the GPS receiver starts at byte 206 and is followed by zeros.
+//! The whole packet is searched for the sentence, because other firmware puts it at another byte.
 
 use crate::record::Fix;
 
-/// What a position packet says.
+/// The content of a position packet.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Position {
     Fix(Fix),
-    /// No sentence (no receiver is attached), or one that says that it is void.
+    /// There is no sentence (no receiver is attached), or the sentence is void.
     NoFix,
-    /// A sentence whose checksum or fields are wrong.
+    /// The checksum or a field of the sentence is wrong.
     Damaged,
 }
 
-/// Reads the `RMC` sentence of a position packet.
+/// Parses the `RMC` sentence of a position packet.
 pub(super) fn of_packet(payload: &[u8]) -> Position {
     let starts = payload.windows(6).position(|w| w.starts_with(b"$G") && w.ends_with(b"RMC"));
     let Some(start) = starts else { return Position::NoFix };
@@ -28,7 +28,8 @@ pub(super) fn of_packet(payload: &[u8]) -> Position {
     }
 }
 
-/// `GPRMC,time,status,latitude,N|S,longitude,E|W,...*checksum`; none where it is damaged.
+/// `GPRMC,time,status,latitude,N|S,longitude,E|W,...*checksum`. Returns `None` if the sentence is
+/// damaged.
 fn of_sentence(sentence: &str) -> Option<Position> {
     let (body, checksum) = sentence.split_once('*')?;
     let computed = body.bytes().fold(0, |sum, byte| sum ^ byte);
@@ -43,15 +44,15 @@ fn of_sentence(sentence: &str) -> Option<Position> {
     let latitude = degrees(latitude, 2)? * sign(north, "N", "S")?;
     let longitude = degrees(longitude, 3)? * sign(east, "E", "W")?;
     let on_earth = latitude.abs() <= 90.0 && longitude.abs() <= 180.0;
-    // RMC has no altitude.
+    // An RMC sentence has no altitude.
     let fix = Fix { latitude, longitude, altitude: f64::NAN };
     (status == "A" && on_earth).then_some(Position::Fix(fix))
 }
 
-/// `ddmm.mmmm`, with two digits of degrees, or three \[deg\].
-fn degrees(text: &str, digits: usize) -> Option<f64> {
-    let minutes: f64 = text.get(digits..)?.parse().ok()?;
-    let degrees: u16 = text.get(..digits)?.parse().ok()?;
+/// Parses `ddmm.mmmm`, or `dddmm.mmmm` for `n_digits` of 3 \[deg\].
+fn degrees(text: &str, n_digits: usize) -> Option<f64> {
+    let minutes: f64 = text.get(n_digits..)?.parse().ok()?;
+    let degrees: u16 = text.get(..n_digits)?.parse().ok()?;
     (0.0..60.0).contains(&minutes).then(|| f64::from(degrees) + minutes / 60.0)
 }
 
@@ -73,10 +74,9 @@ mod tests {
         packet
     }
 
-    /// The example of the NMEA literature, its checksum worked out there: 48 deg 07.038' N,
-    /// 11 deg 31.000' E.
+    /// A published example with its checksum: 48 deg 07.038' N, 11 deg 31.000' E.
     #[test]
-    fn a_fix_is_read_in_degrees() {
+    fn a_fix_is_converted_to_degrees() {
         let sentence = "$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A\r\n";
         let Position::Fix(fix) = of_packet(&packet(sentence)) else { panic!() };
         assert!((fix.latitude - 48.117_3).abs() < 1e-9, "{fix:?}");
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn a_void_sentence_is_no_fix_and_a_wrong_checksum_is_damage() {
+    fn a_void_sentence_is_not_a_fix_and_a_wrong_checksum_is_damage() {
         assert_eq!(of_packet(&packet("$GPRMC,000000,V,,,,,,,230394,,*3E\r\n")), Position::NoFix);
         assert_eq!(of_packet(&packet("")), Position::NoFix);
         let wrong = "$GPRMC,123519,A,4807.038,S,01131.000,E,022.4,084.4,230394,003.1,W*6A\r\n";
