@@ -58,7 +58,7 @@ fn a_capture_gives_the_same_scans_as_the_log_it_was_made_from() {
     let told = loopboost(&args).expect(0).stdout;
     let told: serde_json::Value = serde_json::from_str(&told).unwrap();
     assert_eq!(told["topics"][0]["topic"], "/velodyne_packets");
-    loopboost(&args).expect(1).says(&["imported.mcap is there already"]);
+    loopboost(&args).expect(1).says(&["imported.mcap already exists"]);
 
     for (out, log) in [("original", "out/logs/drive.mcap"), ("capture", "imported.mcap")] {
         let pipeline = format!("[ingest]\nlogs = [\"{log}\"]\n");
@@ -77,6 +77,6 @@ fn what_cannot_be_imported_is_named() {
     let (file, out) = (workplace.path("notes.txt"), workplace.path("x.mcap"));
     fs::write(&file, "no log\n").unwrap();
     let args = ["import", file.to_str().unwrap(), "--out", out.to_str().unwrap()];
-    loopboost(&args).expect(1).says(&["notes.txt is in no format that can be imported"]);
+    loopboost(&args).expect(1).says(&["notes.txt: found text that starts with `no log`"]);
     assert!(!out.exists());
 }

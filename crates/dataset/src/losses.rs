@@ -203,47 +203,50 @@ codes! {
         Warning "malformed_rows" MalformedRows {
             /// The columns that were expected.
             columns: String,
-        } => "row{s} that are not {columns}";
+        } => "malformed row{s} (expected {columns})";
         /// A row has a value that is not a number.
-        Warning "rows_with_nan" RowsWithNan => "row{s} with NaN";
-        /// The last row has no line end.
-        Info "row_without_line_end" RowWithoutLineEnd => "last row{s} without a line end";
-        /// A row carries no message.
-        Info "rows_not_used" RowsNotUsed {
-            /// Why.
-            reason: String,
-        } => "row{s} not used ({reason})";
+        Warning "rows_with_nan" RowsWithNan => "row{s} with NaN or infinite values";
+        /// The last row has no line break.
+        Info "row_without_line_end" RowWithoutLineEnd => "last row{s} without a line break";
+        /// A row of a satellite receiver has no fix.
+        Info "rows_without_fix" RowsWithoutFix => "row{s} without a satellite fix";
         /// A row has no predecessor to take a difference with.
         Info "rows_without_predecessor" RowsWithoutPredecessor
             => "row{s} without another row shortly before";
-        /// A file that another one replaces.
+        /// A file is not needed, because another one contains the same data.
         Info "superseded_file" SupersededFile {
             /// The file used instead.
             used: String,
         } => "file{s} not needed ({used} is used)";
-        /// A file that is of no use without another one.
+        /// A file cannot be used without another one.
         Warning "file_without_partner" FileWithoutPartner {
             /// The file it belongs to.
             partner: String,
         } => "file{s} not used ({partner} is missing)";
         /// A binary file ends within a packet.
-        Warning "truncated_hits" TruncatedHits => "end{s} of the file cut off within a packet";
+        Warning "truncated_hits" TruncatedHits
+            => "file{s} cut off within a packet (complete packets are kept)";
         /// Bytes that are not packets.
         Warning "bytes_between_packets" BytesBetweenPackets
-            => "stretch{s} of bytes that are not packets";
+            => "damaged section{s} between packets (skipped)";
         /// A hit of a laser that an HDL-32E does not have.
         Warning "hits_of_unknown_laser" HitsOfUnknownLaser => "hit{s} of a laser above 31";
         /// Rings could not be ordered by elevation.
         Info "rings_by_file_number" RingsByFileNumber
-            => "revolution{s} whose ring numbers are the laser numbers of the file (their elevations are not those of an HDL-32E)";
-        /// A message earlier than the one before.
+            => "revolution{s} with laser numbers as ring numbers (the elevations match no order of an HDL-32E)";
+        /// A message is earlier than the previous one.
         Info "message_times_step_back" MessageTimesStepBack
-            => "message{s} earlier than the message before (logged at its time)";
+            => "message{s} earlier than the previous message (the log time is that of the previous message)";
+        /// A line of a kind that has no sensor data.
+        Info "lines_without_sensor_data" LinesWithoutSensorData {
+            /// The first word of the line.
+            keyword: String,
+        } => "{keyword} line{s} not imported (no sensor data)";
         /// A line of a kind that is not imported.
         Info "lines_not_imported" LinesNotImported {
             /// The first word of the line.
             keyword: String,
-        } => "{keyword} line{s} that are not imported";
+        } => "{keyword} line{s} not imported (unsupported message)";
         /// A line that does not parse.
         Warning "malformed_lines" MalformedLines {
             /// The first word of the line.
@@ -265,16 +268,16 @@ codes! {
         Warning "damaged_capture" DamagedCapture {
             /// Where the damage starts.
             at_byte: u64,
-        } => "capture{s} damaged from byte {at_byte} on (what comes before is kept)";
+        } => "capture{s} damaged at byte {at_byte} (earlier packets are kept)";
         /// A datagram to another port.
         Info "datagrams_to_other_ports" DatagramsToOtherPorts => "UDP datagram{s} to other ports";
         /// A datagram of another size to the position port.
         Info "datagrams_not_positions" DatagramsNotPositions
-            => "datagram{s} to the position port that are not 512 bytes long";
+            => "datagram{s} to the position port with a length other than 512 bytes";
         /// A datagram to the data port that is not a data packet.
         Warning "datagrams_not_data" DatagramsNotData
-            => "datagram{s} to the data port that are not Velodyne data packets (1206 bytes, starting with 0xeeff)";
-        /// A packet of a sensor that was not chosen.
+            => "datagram{s} to the data port without the layout of a Velodyne data packet (1206 bytes, starting with 0xeeff)";
+        /// A packet of a sensor that was not selected.
         Info "packets_of_other_sensors" PacketsOfOtherSensors => "packet{s} of other sensors";
         /// A position packet with a fix.
         Info "positions_with_fix" PositionsWithFix => "position packet{s} with a fix";
@@ -285,17 +288,17 @@ codes! {
             => "position packet{s} with a damaged NMEA sentence";
         /// A frame cut short by the snapshot length.
         Warning "truncated_frames" TruncatedFrames
-            => "frame{s} cut short by the snapshot length of the capture";
+            => "frame{s} truncated by the snapshot length of the capture";
         /// A frame that is not UDP.
         Info "frames_not_udp" FramesNotUdp {
-            /// What it is.
+            /// The protocol of the frame.
             protocol: String,
-        } => "frame{s} that are not UDP ({protocol})";
+        } => "frame{s} of another protocol than UDP ({protocol})";
         /// A frame that cannot be decoded.
         Warning "undecodable_frames" UndecodableFrames {
             /// What is wrong.
             fault: String,
-        } => "frame{s} that could not be decoded ({fault})";
+        } => "undecodable frame{s} ({fault})";
 
         // Training and evaluation.
 

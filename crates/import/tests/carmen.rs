@@ -1,8 +1,9 @@
-//! CARMEN logs.
+//! Imports CARMEN logs.
 
 mod common;
 
 use common::{Log, import};
+use dataset::Severity;
 use import::{ImportError, Options, Topics};
 use messages::{read_laser_scan, read_odometry, read_pose};
 use proptest::prelude::*;
@@ -16,7 +17,8 @@ SYNC logger nohost 0
 
 const T0_NS: i64 = 976_052_857_245_617_000;
 
-/// A scan of three readings; poses of the laser and of the robot; seconds after 976052857.
+/// A line with a scan of three readings, the poses of the laser and the robot, and the decimal places
+/// of the time 976052857.
 fn flaser(laser: &str, robot: &str, after: &str) -> String {
     format!("FLASER 3 1.5 81.91 0.25 {laser} {robot} 976052857.{after} nohost 0.1\n")
 }
@@ -26,12 +28,12 @@ fn run(text: &str) -> Log {
 }
 
 fn topics(log: &Log) -> Vec<(&str, i64)> {
-    let message = |message: &'_ common::Message| message.log_ns as i64 - T0_NS;
+    let message = |m: &'_ common::Message| m.log_ns as i64 - T0_NS;
     log.messages.iter().map(|m| (m.topic.as_str(), message(m))).collect()
 }
 
 #[test]
-fn a_raw_log_gives_scans_and_the_odometry_of_its_odom_lines() {
+fn a_raw_log_gives_scans_and_odometry_from_odom_lines() {
     let text = HEAD.to_owned()
         + "ODOM 1.0 2.0 0.5 0.3 -0.1 0.0 976052857.245617 nohost 0.0\n"
         + &flaser("1 2 0.5", "1 2 0.5", "345617")
@@ -48,21 +50,21 @@ fn a_raw_log_gives_scans_and_the_odometry_of_its_odom_lines() {
     let scan = read_laser_scan(log.messages[1].source, &log.messages[1].bytes).unwrap();
     assert_eq!(scan.stamp_ns, T0_NS + 100_000_000);
     assert_eq!(scan.ranges, [1.5, 81.91, 0.25]);
-    // Three readings over half a circle.
+    // Three readings cover 180 deg.
     assert!((scan.angle_min.to_degrees() + 90.0).abs() < 1e-4);
     assert!((scan.angle_increment.to_degrees() - 90.0).abs() < 1e-4);
     assert_eq!((scan.range_min, scan.range_max), (0.0, 80.0));
 
-    assert!(log.imported.dropped.is_empty());
+    assert_eq!(log.losses(Severity::Warning), []);
     assert_eq!(
-        log.remarks(),
-        "1 PARAM (no sensor data) lines, which are not imported, \
-         1 SYNC (no sensor data) lines, which are not imported"
+        log.imported.losses.to_string(),
+        "1 PARAM line not imported (no sensor data) (file `intel.log`), \
+         1 SYNC line not imported (no sensor data) (file `intel.log`)"
     );
 }
 
 #[test]
-fn a_corrected_log_gives_both_poses_of_every_scan() {
+fn a_corrected_log_gives_both_poses_of_each_scan() {
     let text = flaser("0 0 0", "0 0 0", "245617") + &flaser("3 4 0.2", "3.5 4 0.3", "345617");
     let log = run(&text);
     assert_eq!(
@@ -83,13 +85,13 @@ fn a_corrected_log_gives_both_poses_of_every_scan() {
 }
 
 #[test]
-fn a_log_whose_poses_agree_has_none_but_the_odometry() {
+fn a_log_with_equal_poses_gives_only_the_odometry() {
     let log = run(&flaser("1 2 0.5", "1 2 0.5", "245617"));
     assert_eq!(topics(&log), [("/odom", 0), ("/scan", 0)]);
 }
 
 #[test]
-fn a_robotlaser_says_what_it_sees() {
+fn a_robotlaser_scan_has_its_own_angles_and_range() {
     let line = "0 -1.5707963 3.1415926 0.0174533 30.0 0.01 0 2 1.25 2.5 1 7 \
                 1 2 0.5 0.9 2 0.5 0.1 0.2 0.5 0.5 0.0 976052857.245617 nohost 0.1\n";
     let text =
@@ -109,13 +111,13 @@ fn a_robotlaser_says_what_it_sees() {
 }
 
 #[test]
-fn the_truth_of_a_simulator_is_kept() {
+fn the_true_pose_of_a_simulator_becomes_ground_truth() {
     let log = run("TRUEPOS 1 2 0 9 9 9 976052857.245617 nohost 0.1\n");
     assert_eq!(topics(&log), [("/ground_truth", 0)]);
 }
 
 #[test]
-fn a_time_that_steps_back_is_kept_in_the_message() {
+fn a_time_that_steps_back_stays_in_the_message() {
     let pose = "1 2 0.5";
     let text = flaser(pose, pose, "345617") + &flaser(pose, pose, "245617");
     let log = run(&text);
@@ -123,14 +125,12 @@ fn a_time_that_steps_back_is_kept_in_the_message() {
     assert_eq!(last.log_ns as i64, T0_NS + 100_000_000);
     assert_eq!(last.publish_ns as i64, T0_NS);
     assert_eq!(read_laser_scan(last.source, &last.bytes).unwrap().stamp_ns, T0_NS);
-    assert_eq!(
-        log.remarks(),
-        "2 messages whose time steps back (logged at the time of the one before)"
-    );
+    assert_eq!(log.losses(Severity::Info), [("message_times_step_back", 1); 2]);
+    assert_eq!(log.losses(Severity::Warning), []);
 }
 
 #[test]
-fn lines_that_cannot_be_used_are_counted() {
+fn lines_that_cannot_be_used_are_losses() {
     let good = flaser("0 0 0", "0 0 0", "245617");
     let text = good.clone()
         + "FLASER 3 1.0 2.0\n"
@@ -144,15 +144,17 @@ fn lines_that_cannot_be_used_are_counted() {
     let log = run(&text);
     assert_eq!(log.of("/scan").count(), 1);
     assert_eq!(
-        log.dropped(),
-        "4 FLASER lines that are cut or damaged, 1 lines before 1970 or after 2037, \
-         1 unknown lines that are cut or damaged"
+        log.losses(Severity::Warning),
+        [("times_out_of_range", 1), ("malformed_lines", 4), ("malformed_lines", 1)]
     );
-    assert_eq!(log.remarks(), "1 IMU lines, which are not imported");
+    assert_eq!(log.losses(Severity::Info), [("lines_not_imported", 1)]);
+    let losses = log.imported.losses.to_string();
+    assert!(losses.contains("4 malformed FLASER lines (file `intel.log`)"), "{losses}");
+    assert!(losses.contains("1 malformed unknown line (file `intel.log`)"), "{losses}");
 }
 
 #[test]
-fn topics_can_be_named() {
+fn topic_names_can_be_changed() {
     let options = Options {
         topics: Topics { scan: "/front".to_owned(), ..Topics::default() },
         ..Options::default()
@@ -164,7 +166,7 @@ fn topics_can_be_named() {
 }
 
 #[test]
-fn every_cut_keeps_whole_lines() {
+fn a_truncated_log_keeps_its_complete_lines() {
     let text: String =
         (0..3).map(|k| flaser("1 2 0.5", "1 2 0.25", &format!("{}45617", k + 2))).collect();
     let whole = run(&text);
@@ -175,7 +177,7 @@ fn every_cut_keeps_whole_lines() {
                 let expected: Vec<_> = whole.of("/scan").map(|message| &message.bytes).collect();
                 assert_eq!(scans, expected[..scans.len()]);
             }
-            Err(ImportError::Unrecognised { .. } | ImportError::Empty { .. }) => {}
+            Err(ImportError::UnknownFormat { .. } | ImportError::Empty { .. }) => {}
             Err(error) => panic!("{cut}: {error}"),
         }
     }
@@ -183,7 +185,7 @@ fn every_cut_keeps_whole_lines() {
 
 proptest! {
     #[test]
-    fn no_text_panics(words in "[A-Z0-9.eE \n-]{0,200}", bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+    fn arbitrary_text_does_not_panic(words in "[A-Z0-9.eE \n-]{0,200}", bytes in prop::collection::vec(any::<u8>(), 0..200)) {
         let head = flaser("0 0 0", "1 0 0", "245617");
         for keyword in ["FLASER ", "ROBOTLASER1 ", "ODOM ", ""] {
             let text = [head.as_bytes(), keyword.as_bytes(), words.as_bytes(), &bytes].concat();

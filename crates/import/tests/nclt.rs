@@ -1,10 +1,11 @@
-//! NCLT files.
+//! Imports NCLT files.
 
 mod common;
 
 use std::f64::consts::TAU;
 
-use common::{Log, import, import_paths};
+use common::{Log, Message, import, import_paths};
+use dataset::Severity;
 use import::{ImportError, Options};
 use messages::hdl32e::ELEVATION_DEG;
 use messages::{
@@ -24,7 +25,7 @@ fn packet(utime: u64, hits: &[[u8; 8]]) -> Vec<u8> {
     out
 }
 
-/// A return at `x`, `y`, `z` \[m\] in the file's axes.
+/// A return at `x`, `y`, `z` \[m\] in the axes of the file.
 fn hit([x, y, z]: [f64; 3], intensity: u8, laser: u8) -> [u8; 8] {
     let mut out = [0; 8];
     for (k, metres) in [x, y, z].into_iter().enumerate() {
@@ -36,26 +37,27 @@ fn hit([x, y, z]: [f64; 3], intensity: u8, laser: u8) -> [u8; 8] {
     out
 }
 
-/// One firing of all lasers, 10 m away, of a sensor that hangs upside down: x left, y forward, z
-/// down. From ahead it turns to the left.
+/// One firing of all lasers of a sensor mounted upside down (x left, y forward, z down), with all
+/// returns 10 m away, at an angle to the left of straight ahead.
 fn firing(left_deg: f64) -> Vec<[u8; 8]> {
     let azimuth = left_deg.to_radians();
-    let one = |laser: usize| {
+    let hit_of = |laser: usize| {
         let elevation = -ELEVATION_DEG[laser].to_radians();
         let level = 10.0 * elevation.cos();
         let position = [level * azimuth.sin(), level * azimuth.cos(), -10.0 * elevation.sin()];
         hit(position, laser as u8 * 2, laser as u8)
     };
-    (0..32).map(one).collect()
+    (0..32).map(hit_of).collect()
 }
 
-/// Packets of 12 firings, 2 deg apart, 0.5 ms apart, from 1 deg left of ahead on.
+/// Packets of 12 firings. Firings are 2 deg apart, packets are 0.5 ms apart, and the first firing is
+/// 1 deg to the left of straight ahead.
 fn hits_file(n_packets: u64) -> Vec<u8> {
-    let one = |k: u64| {
+    let packet_of = |k: u64| {
         let firings = (0..12).flat_map(|block| firing(1.0 + 2.0 * (k * 12 + block) as f64));
         packet(T0_US + k * 500, &firings.collect::<Vec<_>>())
     };
-    (0..n_packets).flat_map(one).collect()
+    (0..n_packets).flat_map(packet_of).collect()
 }
 
 fn run(name: &str, content: &[u8]) -> Result<Log, ImportError> {
@@ -63,8 +65,8 @@ fn run(name: &str, content: &[u8]) -> Result<Log, ImportError> {
 }
 
 #[test]
-fn hits_become_turns_cut_ahead() {
-    // 180 firings a turn are 15 packets; 40 packets are 2 turns and 10 packets.
+fn hits_are_split_into_revolutions_at_azimuth_0() {
+    // A revolution has 180 firings, which are 15 packets. 40 packets are 2 revolutions and 10 packets.
     let log = run("velodyne_hits.bin", &hits_file(40)).unwrap();
     let clouds: Vec<_> = log.of("/velodyne_points").collect();
     let stamps: Vec<_> = clouds.iter().map(|message| message.log_ns as i64 - T0_NS).collect();
@@ -74,7 +76,7 @@ fn hits_become_turns_cut_ahead() {
         .map(|message| read_point_cloud(message.source, &message.bytes).unwrap().len())
         .collect();
     assert_eq!(lengths, [180 * 32, 180 * 32, 120 * 32]);
-    assert!(log.imported.dropped.is_empty() && log.imported.remarks.is_empty());
+    assert!(log.imported.losses.is_empty());
 
     let cloud = read_point_cloud(clouds[1].source, &clouds[1].bytes).unwrap();
     let column = |name: &str| cloud.column(name).unwrap();
@@ -85,13 +87,13 @@ fn hits_become_turns_cut_ahead() {
             let at = firing as usize * 32 + laser;
             let elevation = -elevation_deg.to_radians();
             let level = 10.0 * elevation.cos();
-            // Half a count of 5 mm, and a little.
+            // Slightly more than half a count of 5 mm.
             assert!((x.get(at) - level * azimuth.cos()).abs() < 0.003);
             assert!((y.get(at) - level * azimuth.sin()).abs() < 0.003);
             assert!((z.get(at) - 10.0 * elevation.sin()).abs() < 0.003);
             assert_eq!(column("intensity").get(at), 2.0 * laser as f64);
-            // Laser 0 is the lowest of an upright sensor, so the highest of this one; laser 1 the
-            // 17th from the top.
+            // Laser 0 is the lowest of an upright sensor and therefore the highest of this one.
+            // Laser 1 is the 17th from the top.
             let from_top = if laser % 2 == 0 { laser / 2 } else { 16 + laser / 2 };
             assert_eq!(column("ring").get(at), 31.0 - from_top as f64);
             let packet = firing as usize / 12;
@@ -101,7 +103,7 @@ fn hits_become_turns_cut_ahead() {
 }
 
 #[test]
-fn a_pause_ends_a_turn() {
+fn a_pause_ends_a_revolution() {
     let mut file = hits_file(5);
     file.extend(packet(T0_US + 1_000_000, &firing(125.0)));
     let log = run("velodyne_hits.bin", &file).unwrap();
@@ -110,11 +112,11 @@ fn a_pause_ends_a_turn() {
 }
 
 #[test]
-fn hits_that_cannot_be_used_are_counted() {
+fn hits_that_cannot_be_used_are_losses() {
     let mut file = packet(T0_US, &firing(10.0));
     file.extend([0x9C, 0xAD, 1, 2, 3]);
     file.extend(packet(T0_US + 500, &firing(20.0)));
-    // A number of hits that no packet has.
+    // A number of hits that is too large for a packet.
     let mut damaged = packet(T0_US + 1000, &firing(30.0));
     damaged[10] = 1;
     file.extend(damaged);
@@ -123,26 +125,29 @@ fn hits_that_cannot_be_used_are_counted() {
     file.extend(&packet(T0_US + 2000, &firing(50.0))[..100]);
     let log = run("hits_renamed.dat", &file).unwrap();
     assert_eq!(
-        log.dropped(),
-        "1 files of hits cut within a packet (what is whole is kept), \
-         1 hits of a laser above 31, 1 packets of hits before 1970 or after 2037, \
-         2 stretches of velodyne_hits.bin that are no packets"
+        log.losses(Severity::Warning),
+        [
+            ("times_out_of_range", 1),
+            ("truncated_hits", 1),
+            ("bytes_between_packets", 2),
+            ("hits_of_unknown_laser", 1)
+        ]
     );
     assert_eq!(read_point_cloud(log.messages[0].source, &log.messages[0].bytes).unwrap().len(), 64);
 }
 
 #[test]
-fn lasers_in_no_known_order_keep_their_numbers_and_that_is_said() {
+fn lasers_in_an_unknown_order_keep_their_numbers_as_rings() {
     let shuffled: Vec<_> =
         firing(0.5).into_iter().map(|mut hit| (hit[7] = hit[7] * 13 % 32, hit).1).collect();
     let log = run("velodyne_hits.bin", &packet(T0_US, &shuffled)).unwrap();
     let cloud = read_point_cloud(log.messages[0].source, &log.messages[0].bytes).unwrap();
     assert_eq!(cloud.column("ring").unwrap().get(1), 13.0);
-    assert!(log.remarks().starts_with("1 turns whose rings are the file's laser numbers"));
+    assert_eq!(log.losses(Severity::Info), [("rings_by_file_number", 1)]);
 }
 
 #[test]
-fn every_cut_of_hits_keeps_what_is_whole() {
+fn a_truncated_file_of_hits_keeps_its_complete_packets() {
     let file = hits_file(3);
     let whole = run("velodyne_hits.bin", &file).unwrap();
     let bytes = |log: &Log| {
@@ -156,7 +161,7 @@ fn every_cut_of_hits_keeps_what_is_whole() {
             Ok(log) => {
                 let found = bytes(&log);
                 assert!(whole.starts_with(&found));
-                assert_eq!(log.imported.dropped.is_empty(), cut % (file.len() / 3) == 0);
+                assert_eq!(log.imported.losses.is_empty(), cut % (file.len() / 3) == 0);
                 lengths.push(found.len() / 22);
             }
             Err(_) => assert!(cut < file.len() / 3),
@@ -166,9 +171,9 @@ fn every_cut_of_hits_keeps_what_is_whole() {
     assert_eq!(lengths, [12 * 32, 24 * 32]);
 }
 
-/// A session's tables: each a few rows, at the times given [us after the start].
+/// The tables of a session, with a few rows each.
 fn tables() -> Vec<(&'static str, String)> {
-    let t = |after: u64| T0_US + after;
+    let t = |after_us: u64| T0_US + after_us;
     vec![
         ("odometry_mu_100hz.csv", format!("{},5.0,2.0,-0.5,0.0,0.0,0.2\n", t(10))),
         ("odometry_mu.csv", format!("{},5.0,2.0,-0.5,0.0,0.0,0.2\n", t(11))),
@@ -206,16 +211,28 @@ fn close(found: &[f64], expected: &[f64]) {
     }
 }
 
-#[test]
-fn a_folder_of_tables_becomes_one_log() {
+/// The log of a folder with all tables, one packet of hits, and a file that does not belong to the
+/// data set.
+fn session() -> Log {
     let folder = tempfile::tempdir().unwrap();
     for (name, content) in tables() {
         std::fs::write(folder.path().join(name), content).unwrap();
     }
     std::fs::write(folder.path().join("velodyne_hits.bin"), hits_file(1)).unwrap();
-    std::fs::write(folder.path().join("README.txt"), "not of the data set").unwrap();
-    let log = import_paths(&[folder.path().to_owned()], &Options::default()).unwrap();
+    std::fs::write(folder.path().join("README.txt"), "not part of the data set").unwrap();
+    import_paths(&[folder.path().to_owned()], &Options::default()).unwrap()
+}
 
+/// The only message of a topic.
+fn only<'a>(log: &'a Log, topic: &'a str) -> &'a Message {
+    let messages: Vec<_> = log.of(topic).collect();
+    let [message] = messages[..] else { panic!("{topic}: {} messages", messages.len()) };
+    message
+}
+
+#[test]
+fn a_folder_becomes_one_log_sorted_by_time() {
+    let log = session();
     let order: Vec<_> = log
         .messages
         .iter()
@@ -235,70 +252,93 @@ fn a_folder_of_tables_becomes_one_log() {
             ("/imu/data", 90_000),
         ]
     );
-    let [_, odom, wheels, imu, truth, fix, flat_fix, kvh, late_imu] = &log.messages[..] else {
-        panic!()
-    };
+    assert_eq!(
+        log.losses(Severity::Warning),
+        [("rows_with_nan", 1), ("rows_with_nan", 1)],
+        "one in wheels.csv, one in groundtruth_2012-01-08.csv"
+    );
+    assert_eq!(
+        log.losses(Severity::Info),
+        [("rows_without_fix", 1), ("rows_without_predecessor", 2), ("superseded_file", 1)]
+    );
+}
 
+#[test]
+fn odometry_and_ground_truth_have_z_up() {
+    let log = session();
+    let odom = only(&log, "/odom");
     let odom = read_odometry(odom.source, &odom.bytes).unwrap();
     close(&odom.pose.position, &[5.0, -2.0, 0.5]);
-    // 0.2 rad to the right; a quaternion and its negative are one.
+    // 0.2 rad to the right. A quaternion and its negative are the same rotation.
     let sign = odom.pose.orientation[3].signum();
     let half = odom.pose.orientation.map(|value| value * sign);
     close(&half, &[0.0, 0.0, (-0.1f64).sin(), 0.1f64.cos()]);
     assert_eq!((odom.frame_id.as_str(), odom.child_frame_id.as_str()), ("odom", "base_link"));
 
-    let wheels = read_joint_state(wheels.source, &wheels.bytes).unwrap();
-    assert_eq!(wheels.names, ["left_wheel", "right_wheel"]);
-    assert_eq!(wheels.velocities, [0.5, 0.75]);
-
-    let imu = read_imu(imu.source, &imu.bytes).unwrap();
-    assert_eq!(imu.angular_velocity, [0.1, -0.2, -0.3]);
-    assert_eq!(imu.linear_acceleration, Some([1.0, -2.0, 9.81]));
-    // Heading 90 deg from north is east: no turn in east-north-up axes.
-    close(&imu.orientation.unwrap().map(f64::abs), &[0.0, 0.0, 0.0, 1.0]);
-    // The attitude before is 90 ms old, the next one later.
-    assert_eq!(read_imu(late_imu.source, &late_imu.bytes).unwrap().orientation, None);
-
+    let truth = only(&log, "/ground_truth");
     let truth = read_pose(truth.source, &truth.bytes).unwrap();
     close(&truth.position, &[2.0, 3.0, 1.0]);
     // North is 90 deg from east.
     let half = std::f64::consts::FRAC_1_SQRT_2;
     close(&truth.orientation.map(f64::abs), &[0.0, 0.0, half, half]);
     assert!(0.0 < truth.orientation[2] * truth.orientation[3]);
+}
 
+#[test]
+fn wheels_keep_their_speeds() {
+    let log = session();
+    let wheels = only(&log, "/wheel_states");
+    let wheels = read_joint_state(wheels.source, &wheels.bytes).unwrap();
+    assert_eq!(wheels.names, ["left_wheel", "right_wheel"]);
+    assert_eq!(wheels.velocities, [0.5, 0.75]);
+}
+
+#[test]
+fn an_imu_reading_has_z_up_and_a_recent_attitude() {
+    let log = session();
+    let [imu, late_imu] = log.of("/imu/data").collect::<Vec<_>>()[..] else { panic!() };
+    let imu = read_imu(imu.source, &imu.bytes).unwrap();
+    assert_eq!(imu.angular_velocity, [0.1, -0.2, -0.3]);
+    assert_eq!(imu.linear_acceleration, Some([1.0, -2.0, 9.81]));
+    // A heading of 90 deg from north is east, which is 0 in east-north-up axes.
+    close(&imu.orientation.unwrap().map(f64::abs), &[0.0, 0.0, 0.0, 1.0]);
+    // The last attitude is 90 ms old, and the next one is later than the reading.
+    assert_eq!(read_imu(late_imu.source, &late_imu.bytes).unwrap().orientation, None);
+}
+
+#[test]
+fn satellite_fixes_are_in_degrees_and_may_lack_an_altitude() {
+    let log = session();
+    let [fix, flat_fix] = log.of("/fix").collect::<Vec<_>>()[..] else { panic!() };
     let fix = read_nav_sat_fix(fix.source, &fix.bytes).unwrap();
     close(
         &[fix.latitude_deg, fix.longitude_deg, fix.altitude_m],
         &[0.75 * 360.0 / TAU, -1.5 * 360.0 / TAU, 270.5],
     );
     assert!(read_nav_sat_fix(flat_fix.source, &flat_fix.bytes).unwrap().altitude_m.is_nan());
+}
 
-    // From 3.1 to -3.1 over the half turn: tau - 6.2 in 10 ms, clockwise.
+#[test]
+fn a_change_of_heading_across_pi_gives_the_yaw_rate() {
+    let log = session();
+    let kvh = only(&log, "/kvh");
+    // From 3.1 to -3.1 across pi is a change of tau - 6.2 in 10 ms, clockwise.
     let kvh = read_imu(kvh.source, &kvh.bytes).unwrap();
     close(&kvh.angular_velocity, &[0.0, 0.0, -(TAU - 6.2) / 0.01]);
     close(&[2.0 * kvh.orientation.unwrap()[2].atan2(kvh.orientation.unwrap()[3])], &[3.1]);
     assert_eq!(kvh.linear_acceleration, None);
-
-    assert_eq!(
-        log.dropped(),
-        "1 rows of groundtruth_2012-01-08.csv with a value that is no number (NaN), \
-         1 rows of wheels.csv with a value that is no number (NaN)"
-    );
-    assert_eq!(
-        log.remarks(),
-        "1 odometry_mu.csv beside odometry_mu_100hz.csv, not needed, \
-         1 rows of gps.csv without a fix, \
-         2 rows of kvh.csv without one shortly before"
-    );
 }
 
 #[test]
-fn rows_that_are_damaged_are_counted_and_a_foreign_table_is_an_error() {
+fn a_malformed_row_is_a_loss_and_an_unexpected_table_is_an_error() {
     let rows = format!("# comment\n\n{T0_US},1,2\n{T0_US},1\nx\n{},3,4", T0_US + 1);
     let log = run("wheels.csv", rows.as_bytes()).unwrap();
     assert_eq!(log.messages.len(), 2);
-    assert_eq!(log.dropped(), "2 rows of wheels.csv that are not utime [us], left, right [m/s]");
-    assert_eq!(log.remarks(), "1 last rows of wheels.csv without a line's end");
+    assert_eq!(
+        log.imported.losses.to_string(),
+        "2 malformed rows (expected utime [us], left, right [m/s]) (file `wheels.csv`), \
+         1 last row without a line break (file `wheels.csv`)"
+    );
 
     let named = format!("utime,left,right\n{T0_US},1,2\n");
     assert_eq!(run("wheels.csv", named.as_bytes()).unwrap().messages.len(), 1);
@@ -308,12 +348,15 @@ fn rows_that_are_damaged_are_counted_and_a_foreign_table_is_an_error() {
     assert!(error.ends_with("expected utime [us], left, right [m/s]"), "{error}");
 
     let error = run("ms25_euler.csv", b"1,0,0,0\n").unwrap_err().to_string();
-    assert!(error.contains("ms25_euler.csv without the ms25.csv"), "{error}");
+    assert!(
+        error.contains("1 file not used (ms25.csv is missing) (file `ms25_euler.csv`)"),
+        "{error}"
+    );
     assert!(run("kvh.csv", b"\n").is_err());
 }
 
 #[test]
-fn a_file_of_that_name_that_holds_no_hits_is_an_error() {
+fn a_file_of_hits_with_other_content_is_an_error() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("velodyne_hits.bin"), b"something else").unwrap();
     let paths = [folder.path().to_owned()];
@@ -325,7 +368,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
-    fn no_bytes_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), at in 0usize..9_000) {
+    fn arbitrary_bytes_do_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), at in 0usize..9_000) {
         let file = hits_file(2);
         let _ = run("velodyne_hits.bin", &[&file[..at % file.len()], &bytes].concat());
         let mut flipped = file;

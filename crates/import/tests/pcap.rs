@@ -1,18 +1,19 @@
-//! Captures.
+//! Imports network captures.
 
 mod common;
 
 use common::{Log, import};
+use dataset::Severity;
 use import::{Compression, ImportError, Options};
 use messages::hdl32e::{BLOCKS, PACKET_BYTES, PacketBuilder};
 use messages::{read_nav_sat_fix, read_velodyne};
 use proptest::prelude::*;
 
 const T0_NS: i64 = 1_700_000_000_000_000_000;
-/// A packet takes 552.96 us; captures count in whole microseconds.
+/// A packet takes 552.96 us, rounded to whole microseconds.
 const STEP_NS: i64 = 553_000;
 
-/// How a libpcap file is laid out.
+/// The layout of a libpcap file.
 #[derive(Clone, Copy)]
 struct Layout {
     big_endian: bool,
@@ -69,7 +70,7 @@ fn section(big_endian: bool) -> Vec<u8> {
     block(0x0A0D_0D0A, &body, big_endian)
 }
 
-/// An interface whose times count in `10^-digits` s, or in microseconds if none is given.
+/// An interface with a time unit of `10^-digits` s, or of 1 us if `digits` is `None`.
 fn interface(link: u16, digits: Option<u8>, big_endian: bool) -> Vec<u8> {
     let mut body = u16_of(link, big_endian).to_vec();
     body.extend([0; 2]);
@@ -152,7 +153,7 @@ fn run(capture: &[u8]) -> Log {
     import(&[("drive.pcap", capture)], &Options::default()).unwrap()
 }
 
-/// The packets of a log: message by message, each with its stamp.
+/// The packets of each message of a log, with their stamps.
 fn packets(log: &Log) -> Vec<Vec<(i64, Vec<u8>)>> {
     log.of("/velodyne_packets")
         .map(|message| {
@@ -172,12 +173,12 @@ fn expected() -> Vec<Vec<(i64, Vec<u8>)>> {
 }
 
 #[test]
-fn every_byte_order_and_resolution_gives_the_same_turns() {
+fn every_byte_order_and_resolution_gives_the_same_revolutions() {
     for big_endian in [false, true] {
         for nanoseconds in [false, true] {
             let log = run(&pcap(Layout { big_endian, nanoseconds }, 1, &frames()));
             assert_eq!(packets(&log), expected());
-            assert!(log.imported.dropped.is_empty() && log.imported.remarks.is_empty());
+            assert!(log.imported.losses.is_empty());
         }
     }
 }
@@ -195,7 +196,7 @@ fn pcapng_interfaces_have_their_own_resolutions() {
         let mut capture = section(big_endian);
         capture.extend(interface(1, None, big_endian));
         capture.extend(interface(101, Some(9), big_endian));
-        // A block of a kind that means nothing here.
+        // A block of a kind that is skipped.
         capture.extend(block(5, &[0; 12], big_endian));
         for (k, &azimuth) in AZIMUTHS.iter().enumerate() {
             let stamp_ns = (T0_NS + k as i64 * STEP_NS) as u64;
@@ -207,7 +208,7 @@ fn pcapng_interfaces_have_their_own_resolutions() {
                 }
             });
         }
-        // An interface that is not described, and a packet without a time.
+        // A packet of an unknown interface, and a packet without a time.
         capture.extend(enhanced(2, 0, &data_frame(0), big_endian));
         let mut simple = u32_of(8, big_endian).to_vec();
         simple.extend([0; 8]);
@@ -215,15 +216,14 @@ fn pcapng_interfaces_have_their_own_resolutions() {
         let log = run(&capture);
         assert_eq!(packets(&log), expected());
         assert_eq!(
-            log.dropped(),
-            "1 packets of an interface that is not described, \
-             1 packets without a time (simple packet blocks)"
+            log.losses(Severity::Warning),
+            [("packets_of_unknown_interface", 1), ("packets_without_time", 1)]
         );
     }
 }
 
 #[test]
-fn every_link_type_carries_the_datagram() {
+fn datagrams_are_found_in_every_link_type() {
     let packet = ipv4_udp(SENSOR, 2368, &data(0));
     let cooked = |length: usize, at: usize| {
         let mut header = vec![0; length];
@@ -251,7 +251,7 @@ fn every_link_type_carries_the_datagram() {
     }
 }
 
-/// The NMEA sentence of the unit test of the position packet.
+/// A position packet with the NMEA sentence of the unit test in `position.rs`.
 fn position() -> Vec<u8> {
     let mut payload = vec![0; 512];
     let sentence = b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A\r\n";
@@ -260,7 +260,7 @@ fn position() -> Vec<u8> {
 }
 
 #[test]
-fn positions_become_fixes_and_other_traffic_is_told() {
+fn positions_become_fixes_and_other_traffic_is_counted() {
     let udp = |port, payload: &[u8]| ethernet(&[8, 0], &ipv4_udp(SENSOR, port, payload));
     let mut fragment = ipv4_udp(SENSOR, 2368, &data(0));
     fragment[6] = 0x20;
@@ -284,19 +284,26 @@ fn positions_become_fixes_and_other_traffic_is_told() {
     assert_eq!(fix.stamp_ns, at(0) + 1000);
     assert!((fix.latitude_deg - 48.1173).abs() < 1e-9, "{fix:?}");
     assert_eq!(
-        log.dropped(),
-        "2 datagrams to the data port that are no Velodyne data packets (1206 bytes, from 0xeeff), \
-         1 fragments of IP packets, 1 frames whose headers do not decode"
+        log.losses(Severity::Warning),
+        [("datagrams_not_data", 2), ("undecodable_frames", 1), ("undecodable_frames", 1)]
     );
     assert_eq!(
-        log.remarks(),
-        "1 UDP datagrams to other ports, 1 frames that are neither IP nor ARP, \
-         1 position packets with a fix, 1 position packets without a fix"
+        log.losses(Severity::Info),
+        [
+            ("datagrams_to_other_ports", 1),
+            ("positions_with_fix", 1),
+            ("positions_without_fix", 1),
+            ("frames_not_udp", 1)
+        ]
     );
+    let losses = log.imported.losses.to_string();
+    let sentence = "1 frame of another protocol than UDP (neither IP nor ARP) (file `drive.pcap`)";
+    assert!(losses.contains(sentence), "{losses}");
+    assert!(losses.contains("1 undecodable frame (IP fragment) (file `drive.pcap`)"), "{losses}");
 }
 
 #[test]
-fn of_several_sensors_one_is_chosen() {
+fn one_of_several_sensors_must_be_selected() {
     let other = [10, 0, 0, 7];
     let mut frames = frames();
     frames.insert(2, (T0_NS, ethernet(&[8, 0], &ipv4_udp(other, 2368, &data(5)))));
@@ -308,7 +315,7 @@ fn of_several_sensors_one_is_chosen() {
     let options = Options { source_ip: Some(SENSOR.into()), ..Options::default() };
     let log = import(&[("a.pcap", &capture)], &options).unwrap();
     assert_eq!(packets(&log), expected());
-    assert_eq!(log.remarks(), "1 packets of other sensors");
+    assert_eq!(log.losses(Severity::Info), [("packets_of_other_sensors", 1)]);
 }
 
 #[test]
@@ -322,28 +329,25 @@ fn parts_of_a_capture_are_merged_by_time() {
 }
 
 #[test]
-fn a_capture_without_sensor_says_what_it_holds() {
+fn a_capture_without_sensor_data_is_an_error_that_lists_its_content() {
     let frame = ethernet(&[8, 0], &ipv4_udp(SENSOR, 2369, &data(0)));
     let capture = pcap(LITTLE_MICRO, 1, &[(T0_NS, frame)]);
     let error = import(&[("a.pcap", &capture)], &Options::default()).unwrap_err().to_string();
-    assert!(error.contains("1 UDP datagrams to other ports"), "{error}");
-    assert!(error.contains("2368") && error.contains("udp_port"), "{error}");
+    assert!(error.contains("1 UDP datagram to other ports"), "{error}");
+    assert!(error.contains("2368") && error.contains("--udp-port"), "{error}");
     let options = Options { udp_port: 2369, ..Options::default() };
     assert_eq!(import(&[("a.pcap", &capture)], &options).unwrap().messages.len(), 1);
 }
 
 #[test]
-fn a_stamp_that_steps_back_is_kept_and_logged_in_order() {
+fn a_stamp_that_steps_back_stays_in_the_message_and_the_log_stays_sorted() {
     let mut frames = frames();
     frames[6].0 = T0_NS;
     let log = run(&pcap(LITTLE_MICRO, 1, &frames));
     let last = &log.messages[2];
     assert_eq!(last.publish_ns as i64, T0_NS);
     assert_eq!(last.log_ns as i64, T0_NS + 5 * STEP_NS);
-    assert_eq!(
-        log.remarks(),
-        "1 messages whose time steps back (logged at the time of the one before)"
-    );
+    assert_eq!(log.losses(Severity::Info), [("message_times_step_back", 1)]);
 }
 
 #[test]
@@ -352,13 +356,13 @@ fn the_same_capture_gives_the_same_bytes() {
     assert_eq!(run(&capture).bytes, run(&capture).bytes);
 }
 
-/// All packets of all messages.
+/// The packets of all messages.
 fn flat(log: &Log) -> Vec<(i64, Vec<u8>)> {
     packets(log).concat()
 }
 
 #[test]
-fn every_cut_keeps_what_is_whole() {
+fn a_truncated_capture_keeps_its_complete_packets() {
     let options = Options { compression: Compression::None, ..Options::default() };
     let frames = &frames()[2..5];
     let mut pcapng = section(false);
@@ -376,9 +380,9 @@ fn every_cut_keeps_what_is_whole() {
                     assert_eq!(found, whole[..found.len()]);
                     assert!(found.len() < whole.len());
                     lengths.push(found.len());
-                    let at_a_border = log.imported.dropped.is_empty();
-                    let says = "1 captures cut within a packet (what is whole is kept)";
-                    assert!(at_a_border || log.dropped() == says, "{}", log.dropped());
+                    let losses = log.losses(Severity::Warning);
+                    let is_between_packets = losses.is_empty();
+                    assert!(is_between_packets || losses == [("truncated_capture", 1)]);
                 }
                 Err(error) => assert!(lengths.is_empty(), "{cut}: {error}"),
             }
@@ -390,7 +394,7 @@ fn every_cut_keeps_what_is_whole() {
 
 proptest! {
     #[test]
-    fn no_bytes_behind_a_header_panic(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
+    fn arbitrary_bytes_after_a_header_do_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..600)) {
         for head in [
             pcap(LITTLE_MICRO, 1, &frames()[..1]),
             pcap(Layout { big_endian: true, nanoseconds: true }, 113, &[]),
@@ -401,7 +405,7 @@ proptest! {
     }
 
     #[test]
-    fn no_flipped_byte_panics(at in 0usize..10_000, value: u8) {
+    fn a_changed_byte_does_not_panic(at in 0usize..10_000, value: u8) {
         let mut pcapng = section(false);
         pcapng.extend(interface(1, Some(6), false));
         for (stamp_ns, frame) in frames() {

@@ -1,4 +1,4 @@
-//! `import`: recordings in other formats -> an MCAP log.
+//! `import`: converts a recording in another format to an MCAP log.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -8,34 +8,34 @@ use std::path::{Path, PathBuf};
 use ::import::{Compression, ImportError, Imported, Options};
 use anyhow::{Context, Result, anyhow};
 use clap::{Args, ValueEnum};
-use dataset::Dropped;
 use dataset::tables::{TableError, write_atomically};
+use dataset::{Dropped, Losses, Severity};
 use serde_json::json;
 
 use crate::run::progress_bar;
 
 #[derive(Args)]
 pub(crate) struct ImportArgs {
-    /// Velodyne captures (pcap, pcapng), an NCLT folder or its files, or CARMEN logs; of one format,
-    /// and of one recording
+    /// The files of one recording: Velodyne captures (pcap, pcapng), an NCLT folder or its files, or
+    /// CARMEN logs
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
-    /// The log to write
+    /// Log to write; must not exist
     #[arg(long, value_name = "LOG.mcap")]
     out: PathBuf,
-    /// How chunks are compressed
+    /// Compression of the chunks
     #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
     compression: CompressionArg,
-    /// Captures: UDP port of the sensor's data
+    /// Captures: UDP port of the data packets
     #[arg(long, default_value_t = Options::default().udp_port)]
     udp_port: u16,
-    /// Captures: UDP port of the sensor's positions
+    /// Captures: UDP port of the position packets
     #[arg(long, default_value_t = Options::default().position_port)]
     position_port: u16,
-    /// Captures: the sensor's address, where there are several
+    /// Captures: IP address of the sensor, required if there are several
     #[arg(long, value_name = "ADDRESS")]
     source_ip: Option<IpAddr>,
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
@@ -48,10 +48,13 @@ enum CompressionArg {
 }
 
 impl ImportArgs {
-    /// Writes the log; returns what of the recording could not be used.
+    /// Writes the log. Returns the sensor data that could not be used.
     pub(crate) fn execute(self) -> Result<Dropped> {
         if self.out.exists() {
-            return Err(anyhow!("{} is there already; name another file", self.out.display()));
+            return Err(anyhow!(
+                "{} already exists; choose another file with --out",
+                self.out.display()
+            ));
         }
         let options = Options {
             compression: match self.compression {
@@ -75,14 +78,23 @@ impl ImportArgs {
             WriteLog::Import(error) => anyhow::Error::from(error),
             WriteLog::Table(error) => error.into(),
         })
-        .with_context(|| format!("{} was not written", self.out.display()))?;
+        .with_context(|| format!("cannot write {}", self.out.display()))?;
         progress.finish_and_clear();
         match self.json {
             true => print_json(&self.out, &imported)?,
             false => print(&self.out, &imported),
         }
-        Ok(imported.dropped)
+        Ok(warnings(&imported.losses).into())
     }
+}
+
+/// The losses that need attention.
+fn warnings(losses: &Losses) -> Losses {
+    let mut warnings = Losses::default();
+    for (loss, n) in losses.iter().filter(|(loss, _)| Severity::Info < loss.kind.severity()) {
+        warnings.add(loss.clone(), n);
+    }
+    warnings
 }
 
 fn print(path: &Path, imported: &Imported) {
@@ -91,8 +103,8 @@ fn print(path: &Path, imported: &Imported) {
     for topic in &imported.topics {
         out!("  {:<24} {} ({} messages)", topic.topic, topic.message_type, topic.n_messages);
     }
-    for (remark, n) in imported.remarks.iter() {
-        out!("  {n} {remark}");
+    for (loss, n) in imported.losses.iter().filter(|(l, _)| l.kind.severity() == Severity::Info) {
+        out!("  {}", loss.sentence(n));
     }
 }
 
@@ -110,14 +122,13 @@ fn print_json(path: &Path, imported: &Imported) -> Result<()> {
         "start_ns": imported.start_ns,
         "end_ns": imported.end_ns,
         "topics": topics.collect::<Vec<_>>(),
-        "dropped": imported.dropped,
-        "remarks": imported.remarks,
+        "losses": imported.losses,
     });
     out!("{}", serde_json::to_string_pretty(&all)?);
     Ok(())
 }
 
-/// What can go wrong while the log is written.
+/// An error while the log is written.
 enum WriteLog {
     Import(ImportError),
     Table(TableError),

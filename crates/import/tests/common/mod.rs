@@ -1,15 +1,16 @@
-//! Recordings built byte by byte, imported and read back.
+//! Imports recordings made in code and reads the logs back.
 
-// Not every test looks at all of it.
+// Each test binary uses only some of these functions.
 #![allow(dead_code)]
 
 use std::io::Cursor;
 use std::path::PathBuf;
 
+use dataset::Severity;
 use import::{ImportError, Imported, Options};
 use messages::Source;
 
-/// A message of the log that was written.
+/// A message of the log.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Message {
     pub topic: String,
@@ -19,7 +20,7 @@ pub struct Message {
     pub bytes: Vec<u8>,
 }
 
-/// What an import gave: its account, the log's bytes, its messages.
+/// The result of an import, the bytes of the log, and its messages.
 #[derive(Debug)]
 pub struct Log {
     pub imported: Imported,
@@ -32,16 +33,17 @@ impl Log {
         self.messages.iter().filter(move |message| message.topic == topic)
     }
 
-    pub fn dropped(&self) -> String {
-        self.imported.dropped.to_string()
-    }
-
-    pub fn remarks(&self) -> String {
-        self.imported.remarks.to_string()
+    /// The codes and counts of the losses of a severity.
+    pub fn losses(&self, severity: Severity) -> Vec<(&'static str, u64)> {
+        let losses = self.imported.losses.iter();
+        losses
+            .filter(|(loss, _)| loss.kind.severity() == severity)
+            .map(|(loss, n)| (loss.kind.code(), n))
+            .collect()
     }
 }
 
-/// Imports files given by name and content.
+/// Imports files with these names and contents.
 pub fn import(files: &[(&str, &[u8])], options: &Options) -> Result<Log, ImportError> {
     let folder = tempfile::tempdir().unwrap();
     let paths: Vec<PathBuf> = files
@@ -74,7 +76,7 @@ pub fn import_paths(paths: &[PathBuf], options: &Options) -> Result<Log, ImportE
             }
         })
         .collect();
-    assert!(messages.is_sorted_by_key(|message| message.log_ns), "in order of log time");
+    assert!(messages.is_sorted_by_key(|message| message.log_ns), "messages are sorted by log time");
     let counted: u64 = imported.topics.iter().map(|topic| topic.n_messages).sum();
     assert_eq!(counted, messages.len() as u64);
     assert_eq!(imported.start_ns as u64, messages[0].log_ns);
