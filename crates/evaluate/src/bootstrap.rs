@@ -1,56 +1,57 @@
 //! Confidence intervals by resampling groups.
 //!
-//! Pairs that share a scan, or a place, are not independent; what is resampled is therefore the
-//! group. A pair of two groups counts as often as the product of how often each was drawn: the
-//! pigeonhole bootstrap (Owen 2007, "The pigeonhole bootstrap", Annals of Applied Statistics 1(2)).
-//! A pair within one group counts as often as the group was drawn. Scores are not recomputed:
-//! what is measured is the spread over pairs and places, not over fits.
+//! Pairs that share a scan or a place are not independent. The bootstrap therefore resamples groups
+//! instead of pairs. The weight of a pair of two groups is the product of the numbers of times that
+//! the groups were drawn: the pigeonhole bootstrap (Owen 2007, "The pigeonhole bootstrap", Annals
+//! of Applied Statistics 1(2)). The weight of a pair within one group is the number of times that
+//! the group was drawn. Classifiers are not trained again: the intervals cover the variation over
+//! pairs and places, not over training runs.
 
 use std::collections::BTreeMap;
 
-use dataset::{Label, Scores};
+use dataset::{Label, Scores, SplitMix64, quantile};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::metrics::Ranking;
+use crate::metrics::{Measures, Ranking};
 
-/// Fewer groups than this say nothing about the spread between groups.
+/// Least number of groups for an interval. Fewer do not show the variation between groups.
 pub const MIN_GROUPS: usize = 5;
 
-/// Share of the resamples within an interval.
+/// Share of the resamples inside an interval.
 const COVERED: f64 = 0.95;
 
-/// A value and where 95 % of the resamples lie.
+/// A value and its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
-    /// Measured on all pairs.
+    /// Value on all pairs.
     pub value: f64,
-    /// The 2.5 % and the 97.5 % quantile of the resamples; none where there are too few groups.
+    /// The 2.5 % and 97.5 % quantiles of the resamples; `None` with fewer than [`MIN_GROUPS`] groups.
     pub interval: Option<[f64; 2]>,
 }
 
-/// What is measured of a learner under a grouping at the last round, with intervals.
+/// The measures of a learner under a grouping after the last round, with intervals.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
     /// The learner's name.
     pub learner: String,
-    /// What was kept together on one side of a fold.
+    /// Unit that is never split between folds: `pair`, `scan`, `place` or `log`.
     pub grouping: String,
-    /// Rounds T of a boosted learner.
+    /// Number of boosting rounds T.
     pub rounds: usize,
-    /// Folds.
+    /// Number of folds.
     pub folds: u32,
-    /// Groups that the pairs are of; [`MIN_GROUPS`] give intervals.
+    /// Number of groups among the pairs.
     pub groups: usize,
-    /// Share of wrong labels at threshold 0.
+    /// Share of misclassified pairs at threshold 0.
     pub error: Estimate,
-    /// See [`crate::Measures`], as all below.
+    /// See [`Measures::average_precision`].
     pub average_precision: Estimate,
-    /// Recall at 100 % precision: detection at 0 % false alarm.
+    /// See [`Measures::recall_at_full_precision`].
     pub recall_at_full_precision: Estimate,
-    /// Detection at 1 % false alarm.
+    /// See [`Measures::detection_at_1_percent`].
     pub detection_at_1_percent: Estimate,
-    /// Maximum F1.
+    /// See [`Measures::max_f1`].
     pub max_f1: Estimate,
 }
 
@@ -67,7 +68,7 @@ impl Summary {
     }
 }
 
-/// Measures every learner under every grouping, with intervals from so many resamples.
+/// The measures of every learner under every grouping, with intervals from `resamples` resamples.
 pub(crate) fn summaries(
     labels: &[Label],
     scores: &[Scores],
@@ -83,7 +84,7 @@ pub(crate) fn summaries(
     let mut of_grouping: BTreeMap<&str, (usize, Vec<Vec<f64>>)> = BTreeMap::new();
     for grouping in groupings {
         let Some(first) = scores.iter().find(|s| s.grouping == grouping) else { continue };
-        let groups = Numbered::new(&first.groups);
+        let groups = Groups::new(&first.groups);
         let n = if MIN_GROUPS <= groups.n { resamples } else { 0 };
         let weights = (0..n).into_par_iter().map(|k| groups.resample(seed, k)).collect();
         of_grouping.insert(grouping, (groups.n, weights));
@@ -105,11 +106,11 @@ fn summary(
 ) -> Option<Summary> {
     let confidences: Vec<f64> = scores.after(scores.n_rounds).collect();
     let ranking = Ranking::new(labels, &confidences);
-    let values = |(error, m): (f64, crate::Measures)| {
+    let values = |(error, m): (f64, Measures)| {
         [error, m.average_precision, m.recall_at_full_precision, m.detection_at_1_percent, m.max_f1]
     };
     let of_all = values(ranking.measure(&vec![1.0; labels.len()])?);
-    // A resample without positives measures nothing.
+    // A resample without positives has no measures.
     let resampled: Vec<[f64; 5]> =
         weights.par_iter().filter_map(|w| ranking.measure(w)).map(values).collect();
     let estimate = |k: usize| Estimate {
@@ -130,28 +131,25 @@ fn summary(
     })
 }
 
-/// The quantiles that leave half of the rest on either side, interpolated linearly between order
-/// statistics (Hyndman and Fan 1996, definition 7).
+/// The central interval that contains [`COVERED`] of the values; `None` without values.
 fn interval(mut values: Vec<f64>) -> Option<[f64; 2]> {
-    let last = values.len().checked_sub(1)?;
+    if values.is_empty() {
+        return None;
+    }
     values.sort_by(f64::total_cmp);
-    let quantile = |share: f64| {
-        let place = share * last as f64;
-        let below = place.floor() as usize;
-        let above = (below + 1).min(last);
-        values[below] + (place - below as f64) * (values[above] - values[below])
-    };
-    let rest = (1.0 - COVERED) / 2.0;
-    Some([quantile(rest), quantile(1.0 - rest)])
+    let tail = (1.0 - COVERED) / 2.0;
+    Some([quantile(&values, tail), quantile(&values, 1.0 - tail)])
 }
 
-/// The groups of pairs, numbered from 0 without gaps.
-struct Numbered {
+/// The groups of the pairs, numbered from 0 without gaps.
+struct Groups {
+    /// The groups of the two ends of each pair, `(n_pairs, 2)`.
     of_pairs: Vec<[usize; 2]>,
+    /// Number of groups.
     n: usize,
 }
 
-impl Numbered {
+impl Groups {
     fn new(groups: &[[u32; 2]]) -> Self {
         let mut numbers: BTreeMap<u32, usize> = groups.iter().flatten().map(|&g| (g, 0)).collect();
         for (number, place) in numbers.values_mut().enumerate() {
@@ -163,11 +161,11 @@ impl Numbered {
         }
     }
 
-    /// Draws as many groups as there are, with replacement; the weight of each pair, `(n_pairs,)`.
+    /// Draws `n` groups with replacement. Returns the weight of each pair, `(n_pairs,)`.
     fn resample(&self, seed: u64, resample: u32) -> Vec<f64> {
-        let mut random = SplitMix64(seed ^ (u64::from(resample) << 32) ^ 0xB007_57A4);
-        // The first outputs of near states differ little in some bits: one step apart.
-        random.0 = random.next();
+        let mut random = SplitMix64::new(seed ^ (u64::from(resample) << 32) ^ 0xB007_57A4);
+        // Neighbouring resamples have similar states. One step makes them unrelated.
+        random = SplitMix64::new(random.next_u64());
         let mut drawn = vec![0.0; self.n];
         for _ in 0..self.n {
             drawn[random.below(self.n as u64)] += 1.0;
@@ -179,33 +177,14 @@ impl Numbered {
     }
 }
 
-/// SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA
-/// 2014).
-struct SplitMix64(u64);
-
-impl SplitMix64 {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-
-    /// 0 to n - 1; n is far below 2^64, so that the bias of the product is too.
-    fn below(&mut self, n: u64) -> usize {
-        ((u128::from(self.next()) * u128::from(n)) >> 64) as usize
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use Label::{Negative, Positive};
 
-    /// 0, 1, ..., 100: 2.5 % of the way from 0 to 100 is 2.5.
+    /// For the values 0, 1, ..., 100, the 2.5 % quantile is 2.5.
     #[test]
-    fn quantiles_by_hand() {
+    fn an_interval_covers_the_central_95_percent() {
         let values = (0..=100).rev().map(f64::from).collect();
         let [low, high] = interval(values).unwrap();
         assert!((low - 2.5).abs() < 1e-9 && (high - 97.5).abs() < 1e-9);
@@ -213,18 +192,9 @@ mod tests {
         assert_eq!(interval(vec![3.0]), Some([3.0, 3.0]));
     }
 
-    /// Reference outputs of SplitMix64 for the seed 1234567, from its author's C program as it is
-    /// quoted in the tests of many implementations.
     #[test]
-    fn the_generator_is_the_published_one() {
-        let mut random = SplitMix64(1_234_567);
-        assert_eq!(random.next(), 6_457_827_717_110_365_317);
-        assert_eq!(random.next(), 3_203_168_211_198_807_973);
-    }
-
-    #[test]
-    fn a_pair_weighs_the_product_of_its_groups() {
-        let groups = Numbered::new(&[[7, 7], [9, 9], [40, 40], [7, 9], [9, 40], [40, 7]]);
+    fn the_weight_of_a_pair_is_the_product_of_the_draws_of_its_groups() {
+        let groups = Groups::new(&[[7, 7], [9, 9], [40, 40], [7, 9], [9, 40], [40, 7]]);
         assert_eq!(groups.n, 3);
         for k in 0..20 {
             let w = groups.resample(5, k);
@@ -247,21 +217,22 @@ mod tests {
         }
     }
 
-    /// Independent pairs, 1 in 4 wrong of 400: the error's standard deviation is
-    /// sqrt(0.25 x 0.75 / 400) = 0.02165, the interval 0.25 -+ 1.96 x that. Groups of four alike
-    /// pairs double it. 1000 resamples know a bound to about 0.002.
+    /// 400 independent pairs, a quarter of them wrong: the standard deviation of the error is
+    /// sqrt(0.25 x 0.75 / 400) = 0.02165, and the interval is 0.25 +- 1.96 times that. In groups of
+    /// four identical pairs, the standard deviation doubles. 1000 resamples determine a bound to
+    /// about 0.002.
     #[test]
-    fn intervals_are_as_wide_as_theory_says() {
+    fn intervals_have_the_width_that_theory_predicts() {
         let labels: Vec<Label> =
             (0..400).map(|k| if k % 2 == 0 { Positive } else { Negative }).collect();
         let confidences = |wrong: &dyn Fn(u32) -> bool| -> Vec<f64> {
-            let right = labels.iter().map(|l| l.target());
-            right.zip(0..).map(|(y, k)| if wrong(k) { -y } else { y }).collect()
+            let correct = labels.iter().map(|l| l.target());
+            correct.zip(0..).map(|(y, k)| if wrong(k) { -y } else { y }).collect()
         };
-        let alone = scores((0..400).map(|k| [k, k]).collect(), confidences(&|k| k % 8 < 2));
+        let independent = scores((0..400).map(|k| [k, k]).collect(), confidences(&|k| k % 8 < 2));
         let in_fours =
             scores((0..400).map(|k| [k / 4, k / 4]).collect(), confidences(&|k| k % 16 < 4));
-        for (scores, n, deviation) in [(alone, 400, 0.021_65), (in_fours, 100, 0.0433)] {
+        for (scores, n, deviation) in [(independent, 400, 0.021_65), (in_fours, 100, 0.0433)] {
             let found = &summaries(&labels, &[scores], 1000, 3)[0];
             assert_eq!((found.groups, found.error.value), (n, 0.25));
             let [low, high] = found.error.interval.unwrap();

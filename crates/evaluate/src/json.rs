@@ -3,10 +3,10 @@
 use dataset::{Label, Retrieval};
 use serde_json::{Value, json};
 
-use crate::report::{PAPER_ERROR_BELOW, PAPER_ROUNDS};
+use crate::text::{PAPER_ERROR_BELOW, PAPER_ROUNDS};
 use crate::{Evaluation, Input};
 
-/// All numbers but the curves, which are in the tables.
+/// All numbers except the curves, which are in the tables.
 pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
     let count = |label| input.pairs.iter().filter(|pair| pair.label == label).count();
     let mut logs: Vec<&str> = input.keyframes.iter().map(|k| &*k.id.log).collect();

@@ -1,102 +1,120 @@
-//! `evaluate`: scored pairs -> tables, figures, report.
+//! Evaluates scored pairs of scans: measures, tables, figures and the HTML report.
 //!
-//! Invariant: this crate sees scores, never models.
+//! [`evaluate`] computes the measures. [`write_tables`], [`figures`], [`json`] and [`report`] present
+//! them.
+//!
+//! ```
+//! use dataset::Label::{Negative, Positive};
+//! use evaluate::{Confusion, operating_points};
+//!
+//! let labels = [Positive, Positive, Negative, Negative];
+//! let confidences = [2.0, -0.5, 0.3, -1.0];
+//!
+//! // At threshold 0, one positive is missed and one negative is a false alarm.
+//! let counts = Confusion::count(&labels, confidences.into_iter(), 0.0);
+//! assert_eq!(counts.error(), 0.5);
+//! assert_eq!(counts.precision(), Some(0.5));
+//!
+//! // Without false alarms, half of the positives are detected.
+//! let point = &operating_points(&labels, &confidences)[0];
+//! assert_eq!(point.name, "recall at 100 % precision");
+//! assert_eq!((point.point.threshold, point.point.confusion.recall()), (2.0, 0.5));
+//! ```
+//!
+//! Invariant: this crate uses scores and never models.
 
 mod bootstrap;
-mod drawn;
 mod figures;
 mod json;
 mod metrics;
 mod report;
 mod retrieval;
-mod sketches;
 mod tables;
+mod text;
 
 use dataset::tables::FeatureTable;
 use dataset::{BoostingRound, Dropped, GridCell, Keyframe, Label, Pair, Retrieval, Scores};
 
 pub use bootstrap::{Estimate, MIN_GROUPS, Summary};
-pub use drawn::figures;
-pub use figures::{Figure, path_svg, write_figures};
+pub use figures::{Figure, Sketches, figures, path_svg, write_figures};
 pub use json::json;
 pub use metrics::{
     Confusion, Measures, OperatingPoint, PrPoint, operating_points, precision_recall,
 };
 pub use report::{Fact, report};
 pub use retrieval::{Ranked, rank};
-pub use sketches::Sketches;
 pub use tables::write_tables;
 
-/// Rounds at which precision-recall is drawn (the paper's Figure 5).
+/// Number of boosting rounds of the precision-recall curves (the paper's Figure 5).
 pub const PRECISION_RECALL_ROUNDS: usize = 10;
 
-/// What the pipeline hands over.
+/// The results of a run that are evaluated.
 #[derive(Debug, Clone, Copy)]
 pub struct Input<'a> {
     /// The keyframes.
     pub keyframes: &'a [Keyframe],
     /// The labelled pairs.
     pub pairs: &'a [Pair],
-    /// Their scores, `(n_learners x n_groupings,)`.
+    /// The scores of the pairs, `(n_learners * n_groupings,)`.
     pub scores: &'a [Scores],
-    /// Groupings that were asked for and could not be evaluated, and why.
+    /// For each requested grouping that could not be evaluated, the reason.
     pub left_out: &'a [String],
-    /// What each round chose.
+    /// The feature that each boosting round selected.
     pub rounds: &'a [BoostingRound],
-    /// How well all pairs are ranked at their natural prevalence; empty where not asked for.
+    /// Retrieval at natural prevalence; empty if not requested.
     pub retrieval: &'a [Retrieval],
-    /// Errors under other label rules; empty where not asked for.
+    /// Errors under other label rules; empty if not requested.
     pub grid: &'a [GridCell],
-    /// The features of the keyframes, a row each.
+    /// The features of the keyframes, one row per keyframe.
     pub features: &'a FeatureTable,
-    /// What is known of each feature; may be empty.
+    /// The usefulness of each feature; may be empty.
     pub feature_rows: &'a [FeatureRow],
-    /// Bootstrap resamples for confidence intervals.
+    /// Number of bootstrap resamples for confidence intervals.
     pub resamples: u32,
     /// The run's seed.
     pub seed: u64,
-    /// What all stages left out.
+    /// What the stages of the run left out.
     pub dropped: &'a Dropped,
 }
 
-/// What is known of one feature.
+/// The usefulness of one feature.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FeatureRow {
     /// Its name.
     pub name: String,
-    /// Area under the ROC curve of the feature alone: 0.5 tells nothing, 1 all.
+    /// Area under the ROC curve of the feature alone: 0.5 is chance, 1 is perfect.
     pub auc: f64,
-    /// How far it moves when a scan is thinned to every other return: the median, as a share of the
-    /// feature's interquartile range over the scans.
+    /// How much the feature changes when every other return of a scan is removed: the median,
+    /// relative to the interquartile range of the feature over the scans.
     pub stability: f64,
-    /// Splits that look at it, of all learners' rounds fitted on all pairs.
+    /// Number of splits that use the feature, in the models of all learners trained on all pairs.
     pub chosen: usize,
 }
 
 impl Input<'_> {
-    /// Whether a learner boosts; one without rounds is a baseline.
-    pub(crate) fn is_boosted(&self, learner: &str) -> bool {
+    /// Whether a learner has boosting rounds. A learner without rounds is a baseline.
+    pub fn is_boosted(&self, learner: &str) -> bool {
         self.rounds.iter().any(|round| round.learner == learner)
     }
 
-    /// How well all pairs are ranked, of all logs together.
+    /// Retrieval over all logs.
     pub(crate) fn retrieval_of_all(&self) -> impl Iterator<Item = &Retrieval> {
         let has_all = self.retrieval.iter().any(|r| r.log.is_none());
-        // Of one log alone, that log is all.
+        // If there is only one log, there is no row for all logs.
         self.retrieval.iter().filter(move |r| r.log.is_none() || !has_all)
     }
 }
 
-/// Errors of one learner under one grouping after so many rounds.
+/// The errors of one learner under one grouping after `rounds` rounds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ErrorRow {
     /// The learner's name.
     pub learner: String,
-    /// What was kept together on one side of a fold.
+    /// Unit that is never split between folds: `pair`, `scan`, `place` or `log`.
     pub grouping: String,
-    /// Boosting rounds T.
+    /// Number of boosting rounds T.
     pub rounds: usize,
-    /// What was called what, all folds together, at threshold 0.
+    /// The counts over all folds at threshold 0.
     pub confusion: Confusion,
 }
 
@@ -105,55 +123,55 @@ pub struct ErrorRow {
 pub struct PrCurve {
     /// The learner's name.
     pub learner: String,
-    /// What was kept together on one side of a fold.
+    /// Unit that is never split between folds: `pair`, `scan`, `place` or `log`.
     pub grouping: String,
-    /// Boosting rounds T.
+    /// Number of boosting rounds T.
     pub rounds: usize,
-    /// Points of falling threshold.
+    /// Points in order of falling threshold.
     pub points: Vec<PrPoint>,
 }
 
-/// A pair that got the wrong label at the last round.
+/// A pair that is misclassified after the last round.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mistake {
     /// The learner's name.
     pub learner: String,
-    /// What was kept together on one side of a fold.
+    /// Unit that is never split between folds: `pair`, `scan`, `place` or `log`.
     pub grouping: String,
     /// Index of the pair.
     pub pair: usize,
-    /// Its confidence.
+    /// Confidence of the pair.
     pub confidence: f64,
 }
 
-/// All that is measured.
+/// All measures.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Evaluation {
-    /// For each learner and grouping, after the last round.
+    /// The measures of each learner and grouping after the last round.
     pub summaries: Vec<Summary>,
-    /// For each learner, grouping and T = 1, 2, ...
+    /// The errors of each learner and grouping after T = 1, 2, ... rounds.
     pub errors: Vec<ErrorRow>,
-    /// For each learner and grouping, at T = 10 (or the last round, if that is less).
+    /// The curve of each learner and grouping after [`PRECISION_RECALL_ROUNDS`] rounds, or after the
+    /// last round if there are fewer.
     pub precision_recall: Vec<PrCurve>,
-    /// For each learner and grouping, worst first.
+    /// The mistakes of each learner and grouping, the most confident first.
     pub mistakes: Vec<Mistake>,
 }
 
 impl Evaluation {
-    /// The groupings, in the order asked for.
+    /// The groupings, in the order of the scores.
     pub(crate) fn groupings(&self) -> Vec<&str> {
-        report::distinct(self.summaries.iter().map(|s| &*s.grouping))
+        text::distinct(self.summaries.iter().map(|s| &*s.grouping))
     }
 
-    /// The grouping that the report speaks of first: `place` where it was asked for, else the one
-    /// that keeps most apart.
+    /// The grouping of the headline: `place` if present, otherwise the strictest one.
     pub(crate) fn first_grouping(&self) -> Option<&str> {
         let groupings = self.groupings();
         ["place", "log", "scan", "pair"].into_iter().find(|g| groupings.contains(g))
     }
 
-    /// The learner of the least error under the first grouping, of the boosted ones or of the
-    /// baselines.
+    /// The learner with the least error under the first grouping, among the boosted learners or
+    /// among the baselines.
     fn least_error(&self, input: &Input<'_>, boosted: bool) -> Option<&Summary> {
         let first = self.first_grouping()?;
         self.summaries
@@ -171,7 +189,7 @@ impl Evaluation {
     }
 }
 
-/// Measures.
+/// Computes all measures.
 pub fn evaluate(input: &Input<'_>) -> Evaluation {
     let labels: Vec<Label> = input.pairs.iter().map(|pair| pair.label).collect();
     let mut evaluation = Evaluation {
@@ -196,7 +214,7 @@ pub fn evaluate(input: &Input<'_>) -> Evaluation {
             rounds,
             points: precision_recall(&labels, &confidences),
         });
-        let mut wrong: Vec<Mistake> = scores
+        let mut mistakes: Vec<Mistake> = scores
             .after(scores.n_rounds)
             .enumerate()
             .filter(|(pair, confidence)| Label::from_confidence(*confidence, 0.0) != labels[*pair])
@@ -207,10 +225,10 @@ pub fn evaluate(input: &Input<'_>) -> Evaluation {
                 confidence,
             })
             .collect();
-        wrong.sort_by(|a, b| {
+        mistakes.sort_by(|a, b| {
             b.confidence.abs().total_cmp(&a.confidence.abs()).then(a.pair.cmp(&b.pair))
         });
-        evaluation.mistakes.extend(wrong);
+        evaluation.mistakes.extend(mistakes);
     }
     evaluation
 }

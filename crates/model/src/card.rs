@@ -1,23 +1,31 @@
-//! The model card: what a reader has to know before using a model, in Markdown.
+//! The model card: what a user must know about a model, in Markdown.
 
-use std::fmt::Write;
+use std::fmt::{self, Write};
 
-use crate::Model;
+use crate::{Measured, Model, OperatingPoint, Training};
 
 /// The card of a model (after Mitchell et al. 2019, "Model cards for model reporting").
 pub fn card(model: &Model) -> String {
     let mut card = String::new();
-    // Writing into a string does not fail.
+    // Writing to a string does not fail.
     let _ = write_card(&mut card, model);
     card
 }
 
-fn write_card(card: &mut String, model: &Model) -> std::fmt::Result {
+fn write_card(card: &mut String, model: &Model) -> fmt::Result {
+    write_description(card, model)?;
+    write_results(card, &model.measured, &model.training)?;
+    write_operating_points(card, &model.operating_points)?;
+    write_limits(card)?;
+    write_inputs(card, &model.training)
+}
+
+fn write_description(card: &mut String, model: &Model) -> fmt::Result {
     let Model { scans, features, training, .. } = model;
     writeln!(card, "# {} {}\n", model.name, model.version)?;
     writeln!(
         card,
-        "Tells whether two planar scans show one place, from the absolute differences of their features.\n"
+        "Decides whether two planar scans show the same place, from the absolute differences of their features.\n"
     )?;
     writeln!(card, "| | |\n|---|---|")?;
     writeln!(
@@ -34,7 +42,11 @@ fn write_card(card: &mut String, model: &Model) -> std::fmt::Result {
     writeln!(
         card,
         "| scans | {}, {} to {} deg, returns from {} to {} m |",
-        if scans.is_ring { "closed rings" } else { "parts of the circle" },
+        if scans.is_ring {
+            "closed rings (full revolutions)"
+        } else {
+            "open scans (partial revolutions)"
+        },
         scans.coverage_min_deg,
         scans.coverage_max_deg,
         scans.range_min_m,
@@ -47,49 +59,59 @@ fn write_card(card: &mut String, model: &Model) -> std::fmt::Result {
     )?;
     writeln!(card, "| labels | `{}` |", model.label_options)?;
     writeln!(card, "| seed | {} |", model.seed)?;
-    writeln!(card, "| program | loopboost {} |\n", model.program_version)?;
+    writeln!(card, "| program | loopboost {} |\n", model.program_version)
+}
 
-    writeln!(card, "## Measured\n")?;
+fn write_results(card: &mut String, measured: &[Measured], training: &Training) -> fmt::Result {
+    writeln!(card, "## Results\n")?;
     writeln!(
         card,
-        "Cross-validated: each pair is scored by a classifier that did not see it. Intervals are 95 % Wilson score intervals over pairs; pairs share scans and neighbours, so that the true uncertainty is larger.\n"
+        "Cross-validated at threshold 0: each pair is scored by a classifier that was not trained on it. \
+         The ranges are 95 % Wilson score intervals over pairs. \
+         Pairs that share a scan or a place are not independent: the true uncertainty is larger.\n"
     )?;
     writeln!(
         card,
         "| grouping | folds | T | error | precision | recall |\n|---|---|---|---|---|---|"
     )?;
-    let n = training.n_positive + training.n_negative;
-    for measured in &model.measured {
-        let called = measured.precision.map(|precision| {
-            // Of tp positives called so, precision = tp / called.
-            let true_positive = measured.recall * training.n_positive as f64;
-            if precision > 0.0 { true_positive / precision } else { 0.0 }
-        });
+    let n_pairs = training.n_positive + training.n_negative;
+    for row in measured {
         writeln!(
             card,
             "| {} | {} | {} | {} | {} | {} |",
-            measured.grouping,
-            measured.folds,
-            measured.rounds,
-            with_interval(measured.error, n as f64),
-            match (measured.precision, called) {
-                (Some(precision), Some(called)) => with_interval(precision, called),
-                _ => "none called positive".to_owned(),
-            },
-            with_interval(measured.recall, training.n_positive as f64)
+            row.grouping,
+            row.folds,
+            row.rounds,
+            with_interval(row.error, n_pairs as f64),
+            precision(row, training),
+            with_interval(row.recall, training.n_positive as f64)
         )?;
     }
+    Ok(())
+}
 
+/// The precision with its interval over the pairs classified as positive.
+fn precision(row: &Measured, training: &Training) -> String {
+    let Some(precision) = row.precision else {
+        return "no pair classified as positive".to_owned();
+    };
+    // precision = n_true_positive / n_called_positive
+    let n_true_positive = row.recall * training.n_positive as f64;
+    let n_called_positive = if precision > 0.0 { n_true_positive / precision } else { 0.0 };
+    with_interval(precision, n_called_positive)
+}
+
+fn write_operating_points(card: &mut String, points: &[OperatingPoint]) -> fmt::Result {
     writeln!(card, "\n## Operating points\n")?;
     writeln!(
         card,
-        "A pair is called positive where its confidence is not less than the threshold; 0 unless chosen.\n"
+        "A pair is classified as positive if its confidence is at least the threshold. The default threshold is 0.\n"
     )?;
     writeln!(
         card,
         "| point | grouping | threshold | precision | recall | false alarm |\n|---|---|---|---|---|---|"
     )?;
-    for point in &model.operating_points {
+    for point in points {
         writeln!(
             card,
             "| {} | {} | {:.4} | {} | {} | {} |",
@@ -101,15 +123,23 @@ fn write_card(card: &mut String, model: &Model) -> std::fmt::Result {
             percent(point.false_alarm)
         )?;
     }
+    Ok(())
+}
 
+fn write_limits(card: &mut String) -> fmt::Result {
     writeln!(card, "\n## Limits\n")?;
     writeln!(
         card,
-        "- Made for scans as described above; scans of another kind are refused.\n\
-         - Measured on balanced pairs of the places it was trained on. Along a drive nearly all pairs are negatives, and another place may look otherwise: measure there before relying on it.\n\
-         - What lies between the positive radius and the negative distance was left out of training and of these figures.\n"
-    )?;
-    writeln!(card, "## Trained on\n")?;
+        "- The model is for scans as described above. Other scans give an error.\n\
+         - The results are for equal numbers of both classes, at the places of the training data. \
+         Along a drive, nearly all pairs are negative, and other places look different. \
+         Measure the model there before you rely on it.\n\
+         - Pairs farther apart than the positive radius and closer than the negative distance are neither in the training data nor in the results.\n"
+    )
+}
+
+fn write_inputs(card: &mut String, training: &Training) -> fmt::Result {
+    writeln!(card, "## Training data\n")?;
     writeln!(card, "| input | BLAKE3 |\n|---|---|")?;
     for (name, digest) in &training.digests {
         writeln!(card, "| {name} | `{digest}` |")?;
@@ -126,8 +156,8 @@ fn with_interval(share: f64, n: f64) -> String {
     format!("{:.1} % ({:.1} to {:.1})", share * 100.0, low * 100.0, high * 100.0)
 }
 
-/// The 95 % score interval of a share seen in n trials (Wilson 1927, "Probable inference, the law
-/// of succession, and statistical inference").
+/// The 95 % score interval of a share observed in n trials (Wilson 1927, "Probable inference, the
+/// law of succession, and statistical inference").
 fn wilson_interval(share: f64, n: f64) -> (f64, f64) {
     /// 97.5 % quantile of the normal distribution.
     const Z: f64 = 1.959_963_984_540_054;
@@ -144,10 +174,10 @@ fn wilson_interval(share: f64, n: f64) -> (f64, f64) {
 mod tests {
     use super::wilson_interval;
 
-    /// 10 of 100, by hand: z^2 = 3.8415, denominator 1.038415, centre 0.119207 / 1.038415 =
-    /// 0.114797, half 1.959964 / 1.038415 x sqrt(0.0009 + 0.000096036) = 0.059567.
+    /// 10 of 100: z^2 = 3.8415, denominator 1.038415, centre 0.119207 / 1.038415 = 0.114797, half
+    /// width 1.959964 / 1.038415 x sqrt(0.0009 + 0.000096036) = 0.059567.
     #[test]
-    fn an_interval_by_hand() {
+    fn wilson_intervals_match_values_computed_by_hand() {
         let (low, high) = wilson_interval(0.1, 100.0);
         assert!((low - 0.05523).abs() < 1e-4 && (high - 0.17437).abs() < 1e-4, "{low} {high}");
         let (low, high) = wilson_interval(0.0, 20.0);

@@ -132,7 +132,7 @@ fn a_lost_card_is_written_again() {
 }
 
 #[test]
-fn a_card_tells_what_a_user_has_to_know() {
+fn a_card_lists_what_a_user_must_know() {
     let folder = tempfile::tempdir().unwrap();
     let saved = save(folder.path(), &model(Learner::Discrete)).unwrap();
     let text = fs::read_to_string(&saved.files[1]).unwrap();
@@ -141,7 +141,7 @@ fn a_card_tells_what_a_user_has_to_know() {
         "# campus 1.0.0\n",
         "| learner | `discrete`, 2 rounds |\n",
         "| features | `paper16` v1, gate 2.5 m |\n",
-        "| scans | closed rings, 359.7 to 360.1 deg, returns from 0.9 to 70.25 m |\n",
+        "| scans | closed rings (full revolutions), 359.7 to 360.1 deg, returns from 0.9 to 70.25 m |\n",
         "| trained on | 1218 positive and 1219 negative pairs |\n",
         "| pair | 10 | 2 | 1.5 % (1.1 to 2.1) | 93.8 % (",
         "| recall at 100 % precision | pair | 0.7500 | 100.0 % | 85.0 % | 0.0 % |\n",
@@ -151,7 +151,7 @@ fn a_card_tells_what_a_user_has_to_know() {
     }
     let silent = edited(|m| m.measured[0].precision = None);
     assert!(card(&silent).contains("# campus 9.9.9\n"));
-    assert!(card(&silent).contains("| none called positive |"));
+    assert!(card(&silent).contains("| no pair classified as positive |"));
 }
 
 /// Saves the model with an edit, which must be refused with these words and write nothing.

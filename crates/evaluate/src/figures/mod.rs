@@ -1,113 +1,70 @@
-//! Figures as SVG: in the report they take its light or dark colours, scale and print, and need no
-//! script; the same figures stand as files of their own in `evaluation/figures/`.
+//! Figures as SVG.
+//!
+//! In the report, figures follow its light or dark colours, scale, print and need no script. The
+//! same figures are written as separate files to `evaluation/figures/`.
 
 mod chart;
+mod curves;
+mod first_rounds;
 mod ground;
-mod heat;
-mod map;
+mod label_grid;
 mod path;
 mod scan_pair;
-mod scatter;
+mod site_map;
+mod sketches;
+mod svg;
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use dataset::Pose2;
 
-use dataset::tables::{Result, write_file};
-use maud::{Markup, PreEscaped};
-
-pub(crate) use chart::{Axis, Chart, Series, ticks};
-pub(crate) use ground::Ground;
-pub(crate) use heat::Heat;
-pub(crate) use map::map;
+pub(crate) use path::path_caption;
 pub use path::path_svg;
-pub(crate) use path::{path, path_caption};
-pub(crate) use scan_pair::scan_pair;
-pub(crate) use scatter::{Cut, Scatter};
+pub(crate) use sketches::PairKind;
+pub use sketches::Sketches;
+pub(crate) use svg::STYLE;
+pub use svg::{Figure, write_figures};
 
-/// Number of line styles that the style sheet has (`.series-0` ...).
-pub(crate) const N_STYLES: usize = 8;
+use crate::text::distinct;
+use crate::{Evaluation, Input};
 
-/// The style sheet of figures; the report has it too.
-pub(crate) const STYLE: &str = include_str!("figures.css");
-
-/// A figure of the report.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Figure {
-    /// Its name in the report and its file's stem.
-    pub id: String,
-    svg: String,
-}
-
-impl Figure {
-    pub(crate) fn new(id: &str, svg: Markup) -> Self {
-        Self { id: id.to_owned(), svg: svg.into_string() }
+/// Draws all figures of the report.
+pub fn figures(input: &Input<'_>, evaluation: &Evaluation, sketches: &Sketches) -> Vec<Figure> {
+    let mut figures = Vec::new();
+    for grouping in evaluation.groupings() {
+        let charts = [
+            curves::error_curve(input, evaluation, grouping),
+            curves::precision_recall(input, evaluation, grouping),
+        ];
+        figures.extend(charts.map(|chart| Figure::new(&chart.id, chart.svg())));
     }
-
-    pub(crate) fn inline(&self) -> Markup {
-        PreEscaped(self.svg.clone())
+    if let Some(chart) = curves::retrieval(input) {
+        figures.push(Figure::new(&chart.id, chart.svg()));
     }
-
-    /// The figure with name space and style, as a file.
-    fn standalone(&self) -> String {
-        let name_space = "<svg xmlns=\"http://www.w3.org/2000/svg\" ";
-        let svg = self.svg.replacen("<svg ", name_space, 1);
-        svg.replacen('>', &format!("><style>{STYLE}</style>"), 1)
+    let heat_maps = label_grid::heat_maps(input);
+    figures.extend(heat_maps.into_iter().map(|map| Figure::new(&map.id, map.svg())));
+    if let Some(scatter) = first_rounds::scatter(input) {
+        figures.push(Figure::new(&scatter.id, scatter.svg()));
     }
-}
-
-/// Writes each figure as `<id>.svg`, and removes other SVG files of an earlier run.
-pub fn write_figures(folder: &Path, figures: &[Figure]) -> Result<Vec<PathBuf>> {
-    let mut written = Vec::new();
-    for figure in figures {
-        let path = folder.join(format!("{}.svg", figure.id));
-        write_file(&path, figure.standalone().as_bytes())?;
-        written.push(path);
-    }
-    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-        let path = entry.path();
-        if path.extension().is_some_and(|e| e == "svg") && !written.contains(&path) {
-            // Best effort: a file that stays is no part of this run's outputs.
-            let _ = fs::remove_file(path);
+    figures.extend(scan_pair::scan_pairs(input, sketches));
+    for (k, site) in distinct(input.keyframes.iter().map(|k| &*k.site)).into_iter().enumerate() {
+        let id = format!("map-{}", k + 1);
+        figures.push(Figure::new(&id, site_map::site_map(&id, site, input.keyframes, input.pairs)));
+        if let Some(ground) = sketches.grounds.get(site) {
+            let id = format!("ground-{}", k + 1);
+            figures.push(Figure::new(&id, ground.svg(&id, site, &paths_of_logs(input, site))));
         }
     }
-    Ok(written)
-}
-
-/// A coordinate in an SVG, short and always the same.
-pub(crate) fn px(value: f64) -> String {
-    let text = format!("{value:.1}");
-    let text = text.strip_suffix(".0").unwrap_or(&text);
-    if text == "-0" { "0".to_owned() } else { text.to_owned() }
-}
-
-/// A dot at each point, as one path: short lines of no length with round ends.
-pub(crate) fn dots(points: impl Iterator<Item = (f64, f64)>) -> String {
-    points.map(|(x, y)| format!("M{} {}h0", px(x), px(y))).collect()
-}
-
-/// 1, 2 or 5 times a power of ten: the greatest that is not more than `target`.
-pub(crate) fn round_length(target: f64) -> f64 {
-    let decade = libm::pow(10.0, libm::floor(libm::log10(target.max(1e-9))));
-    let step = [5.0, 2.0, 1.0].into_iter().find(|s| s * decade <= target).unwrap_or(1.0);
-    step * decade
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lengths_are_round() {
-        for (target, expected) in [(1.0, 1.0), (4.9, 2.0), (5.0, 5.0), (73.0, 50.0), (0.3, 0.2)] {
-            assert!((round_length(target) - expected).abs() < 1e-12, "{target}");
-        }
+    for (k, of_log) in input.keyframes.chunk_by(|a, b| a.id.log == b.id.log).enumerate() {
+        let id = format!("path-{}", k + 1);
+        figures.push(Figure::new(&id, path::path(&id, of_log)));
     }
+    figures
+}
 
-    #[test]
-    fn a_file_carries_its_style_once() {
-        let svg = maud::html! { svg viewBox="0 0 1 1" { svg { path d="M0 0" {} } } };
-        let file = Figure::new("f", svg).standalone();
-        assert!(file.starts_with("<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox"), "{file}");
-        assert_eq!(file.matches("<style>").count(), 1);
-    }
+/// The keyframe poses of each log of a site.
+fn paths_of_logs(input: &Input<'_>, site: &str) -> Vec<Vec<Pose2>> {
+    let of_site: Vec<_> = input.keyframes.iter().filter(|k| &*k.site == site).collect();
+    of_site
+        .chunk_by(|a, b| a.id.log == b.id.log)
+        .map(|log| log.iter().map(|k| k.pose).collect())
+        .collect()
 }

@@ -1,83 +1,89 @@
-//! What the classifiers look at.
+//! The features that the classifiers use.
 
 use dataset::BoostingRound;
 use maud::{Markup, html};
 
-use super::{distinct, figure, name_of, percent};
+use super::figure;
 use crate::figures::Figure;
+use crate::text::{NO_VALUE, distinct, learner_name, percent};
 use crate::{Evaluation, Input};
 
-/// Features shown in the table of what each is worth.
+/// Rows of the table of single features.
 const FEATURES_SHOWN: usize = 20;
-/// Rounds shown in the table of chosen features.
-const SELECTION_ROUNDS: u32 = 10;
+/// Rows of the table of selected features.
+const ROUNDS_SHOWN: u32 = 10;
 
-pub(super) fn features(input: &Input<'_>, evaluation: &Evaluation, figures: &[Figure]) -> Markup {
-    let learners = distinct(input.rounds.iter().map(|r| &*r.learner));
-    let of_all = |learner: &str, round: u32| {
-        input
-            .rounds
-            .iter()
-            .find(|r| r.left_out.is_none() && r.learner == learner && r.round == round)
-    };
+pub(super) fn section(input: &Input<'_>, evaluation: &Evaluation, figures: &[Figure]) -> Markup {
     let first = evaluation.first_grouping().unwrap_or_default();
-    let error_at = |r: &BoostingRound| {
+    html! {
+        section {
+            h2 { "Selected features" }
+            p {
+                "The feature that each of the first " (ROUNDS_SHOWN) " rounds selects when trained on all pairs (paper, Table I). Below it: "
+                "the error after this round, cross-validated by " (first) ", and how many of the cross-validation fits select the same feature in this round. "
+                "All rounds are in " code { "evaluation/selection.parquet" } "."
+            }
+            (selection_table(input, evaluation, first))
+            div class="figures" {
+                (figure(figures, "first-rounds", &html! {
+                    "The pairs by the first two selected features, with their thresholds (paper, Figure 2). Small differences speak for a match."
+                }))
+                (single_features(input))
+            }
+        }
+    }
+}
+
+fn selection_table(input: &Input<'_>, evaluation: &Evaluation, grouping: &str) -> Markup {
+    let learners = distinct(input.rounds.iter().map(|r| &*r.learner));
+    let selected = |learner: &str, round: u32| {
+        let mut of_all_pairs = input.rounds.iter().filter(|r| r.left_out.is_none());
+        of_all_pairs.find(|r| r.learner == learner && r.round == round)
+    };
+    let error_after = |r: &BoostingRound| {
         let row = evaluation.errors.iter().find(|e| {
-            e.learner == r.learner && e.grouping == first && e.rounds == r.round as usize
+            e.learner == r.learner && e.grouping == grouping && e.rounds == r.round as usize
         });
         row.map_or(f64::NAN, |e| e.confusion.error())
     };
     html! {
-        section {
-            h2 { "Features chosen" }
-            p {
-                "The feature that each of the first " (SELECTION_ROUNDS) " rounds chose, fitted on all pairs; the cross-validated error, by "
-                (first) ", after that round (paper, Table I); and in how many of the fits on folds the same round chose the same. "
-                "All rounds are in " code { "evaluation/selection.parquet" } "."
-            }
-            div class="scroll" {
-                table {
-                    thead { tr { th { "round" } @for learner in &learners { th class="text" { (name_of(learner)) } } } }
-                    tbody {
-                        @for round in 1..=SELECTION_ROUNDS {
-                            tr {
-                                th { (round) }
-                                @for learner in &learners {
-                                    @match of_all(learner, round) {
-                                        Some(r) => { td class="text" {
-                                            (r.feature)
-                                            small { (percent(error_at(r))) " · " (in_folds(input, r)) }
-                                        } }
-                                        None => { td class="text" { "–" } }
-                                    }
+        div class="scroll" {
+            table {
+                thead { tr { th { "round" } @for learner in &learners { th class="text" { (learner_name(learner)) } } } }
+                tbody {
+                    @for round in 1..=ROUNDS_SHOWN {
+                        tr {
+                            th { (round) }
+                            @for learner in &learners {
+                                @match selected(learner, round) {
+                                    Some(r) => { td class="text" {
+                                        (r.feature)
+                                        small { (percent(error_after(r))) ", " (same_in_folds(input, r)) }
+                                    } }
+                                    None => { td class="text" { (NO_VALUE) } }
                                 }
                             }
                         }
                     }
                 }
             }
-            div class="figures" {
-                (figure(figures, "first-rounds", &html! {
-                    "The first two features chosen, and where they were cut (paper, Figure 2): a pair is called a match where its differences are small."
-                }))
-                (table_of_features(input))
-            }
         }
     }
 }
 
-fn in_folds(input: &Input<'_>, chosen: &BoostingRound) -> String {
+/// How many of the cross-validation fits select the same feature in the same round.
+fn same_in_folds(input: &Input<'_>, selected: &BoostingRound) -> String {
     let of_round = || {
         input.rounds.iter().filter(|r| {
-            r.left_out.is_some() && r.learner == chosen.learner && r.round == chosen.round
+            r.left_out.is_some() && r.learner == selected.learner && r.round == selected.round
         })
     };
-    let same = of_round().filter(|r| r.feature == chosen.feature).count();
-    format!("{same}/{}", of_round().count())
+    let n_same = of_round().filter(|r| r.feature == selected.feature).count();
+    format!("{n_same} of {}", of_round().count())
 }
 
-/// The best first, where features were looked at one by one.
-fn table_of_features(input: &Input<'_>) -> Markup {
+/// The single features with the greatest AUC. Nothing if they were not evaluated.
+fn single_features(input: &Input<'_>) -> Markup {
     if input.feature_rows.is_empty() {
         return html! {};
     }
@@ -86,12 +92,14 @@ fn table_of_features(input: &Input<'_>) -> Markup {
     rows.truncate(FEATURES_SHOWN);
     html! {
         div class="scroll" {
-            p {
-                "Each feature by itself: the area under its ROC curve (0.5 tells nothing); how far it moves when every other return of a scan is left out (median, as a share of its interquartile range: less is better); how many splits of all models look at it. All are in "
-                code { "evaluation/features.parquet" } "."
+            p { "Each feature alone. All features are in " code { "evaluation/features.parquet" } "." }
+            ul {
+                li { b { "AUC" } ": area under its ROC curve. 0.5 is chance, 1 is perfect." }
+                li { b { "change" } ": how much it changes when every other return of a scan is removed (median, relative to its interquartile range). Lower is better." }
+                li { b { "splits" } ": how many splits of all models use it." }
             }
             table {
-                thead { tr { th class="text" { "feature" } th { "AUC alone" } th { "moves by" } th { "chosen" } } }
+                thead { tr { th class="text" { "feature" } th { "AUC" } th { "change" } th { "splits" } } }
                 tbody { @for row in rows { tr {
                     th { (row.name) }
                     td { (format!("{:.3}", row.auc)) }

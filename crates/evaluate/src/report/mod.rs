@@ -1,33 +1,29 @@
-//! `report.html`: one file that opens offline, without script.
+//! `report.html`: one file that opens offline and needs no script.
 
-mod beyond;
+mod cross_validation;
+mod data;
 mod features;
-mod measures;
-mod origins;
+mod headline;
+mod label_grid;
+mod retrieval;
 mod scans;
 
 use dataset::tables::Provenance;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::figures::{Figure, STYLE};
-use crate::sketches::Sketches;
+use crate::figures::{Figure, STYLE, Sketches};
 use crate::{Evaluation, Input};
 
-/// A line of the report's last section: where the numbers come from.
+/// A row of the table of inputs and options at the end of the report.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fact {
-    /// What it is.
+    /// Name of the input or option.
     pub name: String,
-    /// Its value.
+    /// Its digest or value.
     pub value: String,
 }
 
-/// The error that the paper reports for AdaBoost on its own campus is below this.
-pub(crate) const PAPER_ERROR_BELOW: f64 = 0.05;
-/// Its rounds.
-pub(crate) const PAPER_ROUNDS: u32 = 50;
-
-/// The report as HTML; its provenance stands in `meta` elements, under the keys that tables have.
+/// The report as HTML. Its provenance is in `meta` elements, with the same keys as in tables.
 pub fn report(
     name: &str,
     input: &Input<'_>,
@@ -52,16 +48,16 @@ pub fn report(
                 header {
                     p class="brand" { "loopboost report" }
                     h1 { (name) }
-                    (measures::headline(input, evaluation))
+                    (headline::headline(input, evaluation))
                 }
                 main {
-                    (measures::measures(input, evaluation, figures))
-                    (beyond::every_pair(input, figures))
-                    (beyond::grid(input, figures))
-                    (features::features(input, evaluation, figures))
-                    (scans::scan_pairs(input, sketches, figures))
-                    (scans::maps(input, figures))
-                    (origins::origins(input, facts))
+                    (cross_validation::section(input, evaluation, figures))
+                    (retrieval::section(input, figures))
+                    (label_grid::section(input, figures))
+                    (features::section(input, evaluation, figures))
+                    (scans::pairs_section(input, sketches, figures))
+                    (scans::maps_section(input, figures))
+                    (data::section(input, facts))
                 }
                 footer {}
             }
@@ -70,79 +66,11 @@ pub fn report(
     page.into_string()
 }
 
-/// A figure by its id, with a caption; nothing where it was not drawn.
+/// The figure with this id and its caption. Nothing if the figure was not drawn.
 fn figure(figures: &[Figure], id: &str, caption: &Markup) -> Markup {
     html! {
         @if let Some(found) = figures.iter().find(|figure| figure.id == id) {
             figure { (found.inline()) figcaption { (caption) } }
         }
-    }
-}
-
-/// The distinct values, in order of first appearance.
-pub(crate) fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<&'a str> {
-    let mut distinct: Vec<&str> = Vec::new();
-    for value in values {
-        if !distinct.contains(&value) {
-            distinct.push(value);
-        }
-    }
-    distinct
-}
-
-/// What a learner is called in words.
-pub(crate) fn name_of(learner: &str) -> String {
-    match learner {
-        "discrete" => "Discrete AdaBoost",
-        "gentle_line" => "Gentle, lines",
-        "gentle_stump" => "Gentle, stumps",
-        "logit_trees" => "Logit, trees",
-        "knn" => "k-NN (k = 5)",
-        "svm" => "linear SVM",
-        other => other,
-    }
-    .to_owned()
-}
-
-/// What a grouping keeps on one side of a fold.
-fn meaning_of(grouping: &str) -> &'static str {
-    match grouping {
-        "pair" => "pairs dealt at random, the paper\u{2019}s protocol",
-        "scan" => "no scan on both sides",
-        "place" => "no block of ground on both sides",
-        "log" => "no log on both sides",
-        _ => "",
-    }
-}
-
-pub(crate) fn percent(share: f64) -> String {
-    format!("{:.1}\u{a0}%", share * 100.0)
-}
-
-fn optional(share: Option<f64>) -> String {
-    share.map_or_else(|| "none".to_owned(), percent)
-}
-
-/// 1,234,567 is easier to read than 1234567.
-fn thousands(n: u64) -> String {
-    let digits = n.to_string();
-    let mut text = String::new();
-    for (k, digit) in digits.chars().enumerate() {
-        if k > 0 && (digits.len() - k).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn numbers_are_readable() {
-        assert_eq!([0, 999, 1000, 1_234_567].map(thousands), ["0", "999", "1,000", "1,234,567"]);
-        assert_eq!(percent(0.158_04), "15.8\u{a0}%");
     }
 }

@@ -1,44 +1,53 @@
-//! Scans: pairs of them, and laid out on the ground.
+//! Scans: example pairs and maps.
 
 use maud::{Markup, html};
 
-use super::{distinct, figure, name_of};
+use super::figure;
 use crate::Input;
-use crate::figures::{Figure, path_caption};
-use crate::sketches::{Kind, Sketches};
+use crate::figures::{Figure, PairKind, Sketches, path_caption};
+use crate::text::{distinct, learner_name};
 
-pub(super) fn scan_pairs(input: &Input<'_>, sketches: &Sketches, figures: &[Figure]) -> Markup {
-    let Some((learner, grouping)) = &sketches.by else { return html! {} };
+pub(super) fn pairs_section(input: &Input<'_>, sketches: &Sketches, figures: &[Figure]) -> Markup {
+    let Some((learner, grouping)) = &sketches.selected_by else { return html! {} };
+    let correct = [PairKind::CorrectMatch, PairKind::CorrectNonMatch];
+    let mistakes = [PairKind::FalseAlarm, PairKind::MissedMatch];
+    let has_mistakes = sketches.pairs.iter().any(|pair| mistakes.contains(&pair.kind));
     html! {
         section {
-            h2 { "Pairs of scans" }
+            h2 { "Example pairs" }
             p {
-                "By " (name_of(learner)) ", by " (grouping) ": the most confident of each kind. The robot stands in the middle and looks up."
+                "The most confident decisions of " (learner_name(learner)) ", cross-validated by " (grouping)
+                ". The robot is at the centre of each scan and faces up."
             }
-            h3 { "Told rightly (paper, Figure 1)" }
-            div class="pairs" { (of_kinds(input, sketches, figures, [Kind::Match, Kind::NonMatch])) }
-            h3 { "The worst mistakes (paper, Figure 6)" }
-            div class="pairs" { (of_kinds(input, sketches, figures, [Kind::FalseAlarm, Kind::Missed])) }
-            p class="note" { "All mistakes are in " code { "evaluation/mistakes.parquet" } ", worst first." }
+            h3 { "Correct (paper, Figure 1)" }
+            div class="pairs" { (pair_figures(input, sketches, figures, correct)) }
+            @if has_mistakes {
+                h3 { "Worst mistakes (paper, Figure 6)" }
+                div class="pairs" { (pair_figures(input, sketches, figures, mistakes)) }
+                p class="note" { "All mistakes are in " code { "evaluation/mistakes.parquet" } ", the most confident first." }
+            } @else {
+                p { (learner_name(learner)) " makes no mistakes." }
+            }
         }
     }
 }
 
-fn of_kinds(
+fn pair_figures(
     input: &Input<'_>,
     sketches: &Sketches,
     figures: &[Figure],
-    kinds: [Kind; 2],
+    kinds: [PairKind; 2],
 ) -> Markup {
     html! {
         @for kind in kinds {
-            @for (k, drawn) in sketches.pairs.iter().filter(|p| p.kind == kind).enumerate() {
-                @let pair = &input.pairs[drawn.pair];
+            @for (k, example) in sketches.pairs.iter().filter(|p| p.kind == kind).enumerate() {
+                @let pair = &input.pairs[example.pair];
                 @let (a, b) = (&input.keyframes[pair.query].id, &input.keyframes[pair.reference].id);
                 (figure(figures, &format!("{}-{}", kind.id(), k + 1), &html! {
-                    b { (kind.title()) } ", confidence " (format!("{:+.2}", drawn.confidence)) br;
-                    (a.log) " " (a.scan) " and "
-                    @if a.log != b.log { (b.log) " " } (b.scan)
+                    b { (kind.title()) } ", confidence " (format!("{:+.2}", example.confidence)) br;
+                    "scan " (a.scan)
+                    @if a.log != b.log { " of " (a.log) }
+                    " and scan " (b.scan) " of " (b.log)
                     @if pair.distance_m.is_finite() { ", " (format!("{:.1}", pair.distance_m)) " m apart" }
                 }))
             }
@@ -46,15 +55,15 @@ fn of_kinds(
     }
 }
 
-pub(super) fn maps(input: &Input<'_>, figures: &[Figure]) -> Markup {
+pub(super) fn maps_section(input: &Input<'_>, figures: &[Figure]) -> Markup {
     html! {
         section {
-            h2 { "Where" }
+            h2 { "Maps" }
             div class="figures" {
                 @for (k, site) in distinct(input.keyframes.iter().map(|k| &*k.site)).into_iter().enumerate() {
                     @let n = input.keyframes.iter().filter(|k| &*k.site == site).count();
                     (figure(figures, &format!("ground-{}", k + 1), &html! {
-                        b { (site) } ": " (n) " scans laid out along the path (paper, Figure 3b)"
+                        b { (site) } ": " (n) " scans drawn along the path (paper, Figure 3b)"
                     }))
                     (figure(figures, &format!("map-{}", k + 1), &html! {
                         b { (site) } ": the path and the labelled pairs"

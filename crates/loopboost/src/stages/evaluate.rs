@@ -83,7 +83,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let feature_rows = feature_rows(run, &input, &thinned);
     let input = Input { feature_rows: &feature_rows, ..input };
     let figures = evaluate::figures(&input, &evaluation, &sketches);
-    let mut done = Done { said: said(&evaluation), ..Done::default() };
+    let mut done = Done { said: summary_lines(&input, &evaluation), ..Done::default() };
     let folder = run.path("evaluation");
     done.outputs = evaluate::write_tables(&folder, provenance, &input, &evaluation)?;
     done.outputs.extend(evaluate::write_figures(&folder.join("figures"), &figures)?);
@@ -161,28 +161,31 @@ fn each_scan(run: &Run, all: &[Keyframe], mut take: impl FnMut(usize, &Scan)) ->
     Ok(())
 }
 
-fn said(evaluation: &Evaluation) -> Vec<String> {
-    let of_curve = |curve: &evaluate::PrCurve| {
+/// The error of each learner and grouping: after few rounds and after the last one, or the only
+/// error if both are the same or the learner has no rounds.
+fn summary_lines(input: &Input<'_>, evaluation: &Evaluation) -> Vec<String> {
+    let line = |curve: &evaluate::PrCurve| {
+        let rows: Vec<_> = evaluation
+            .errors
+            .iter()
+            .filter(|row| row.learner == curve.learner && row.grouping == curve.grouping)
+            .collect();
         let error_at = |rounds: usize| {
-            let row = evaluation.errors.iter().find(|row| {
-                row.learner == curve.learner
-                    && row.grouping == curve.grouping
-                    && row.rounds == rounds
-            });
+            let row = rows.iter().find(|row| row.rounds == rounds);
             row.map_or(f64::NAN, |row| row.confusion.error() * 100.0)
         };
-        let of_learner = evaluation.errors.iter().filter(|row| row.learner == curve.learner);
-        let all = of_learner.map(|row| row.rounds).max().unwrap_or(curve.rounds);
-        let few = curve.rounds;
-        format!(
-            "{} by {}: error {:.1} % at T = {few}, {:.1} % at T = {all}",
-            curve.learner,
-            curve.grouping,
-            error_at(few),
-            error_at(all)
-        )
+        let (few, last) =
+            (curve.rounds, rows.iter().map(|row| row.rounds).max().unwrap_or(curve.rounds));
+        let errors = if !input.is_boosted(&curve.learner) {
+            format!("{:.1} %", error_at(last))
+        } else if few == last {
+            format!("{:.1} % at T = {last}", error_at(last))
+        } else {
+            format!("{:.1} % at T = {few}, {:.1} % at T = {last}", error_at(few), error_at(last))
+        };
+        format!("{} by {}: error {errors}", curve.learner, curve.grouping)
     };
-    evaluation.precision_recall.iter().map(of_curve).collect()
+    evaluation.precision_recall.iter().map(line).collect()
 }
 
 fn options(config: &Config) -> Result<Vec<Fact>> {

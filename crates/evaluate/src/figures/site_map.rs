@@ -1,16 +1,18 @@
+//! The paths and labelled pairs of a site.
+
 use dataset::{Keyframe, Label, Pair};
 use maud::{Markup, html};
 
-use super::{px, round_length};
+use super::svg::{polyline, px, round_length};
 
 const SIZE: f64 = 640.0;
 const MARGIN: f64 = 20.0;
-/// Negative pairs drawn on a map; all of them would cover it.
+/// Negative pairs drawn on a map. All of them would cover it.
 const MAX_NEGATIVES: usize = 150;
 
-/// The keyframes of one site, their paths, and the pairs drawn among them.
-pub(crate) fn map(id: &str, site: &str, keyframes: &[Keyframe], pairs: &[Pair]) -> Markup {
-    let here = |k: usize| &*keyframes[k].site == site;
+/// The paths of one site and the labelled pairs of its keyframes.
+pub(super) fn site_map(id: &str, site: &str, keyframes: &[Keyframe], pairs: &[Pair]) -> Markup {
+    let is_here = |k: usize| &*keyframes[k].site == site;
     let of_site: Vec<&Keyframe> = keyframes.iter().filter(|k| &*k.site == site).collect();
     let range = |of: fn(&Keyframe) -> f64| {
         of_site
@@ -27,7 +29,7 @@ pub(crate) fn map(id: &str, site: &str, keyframes: &[Keyframe], pairs: &[Pair]) 
     let lines = |label: Label, most: usize| {
         let of_label: Vec<&Pair> = pairs
             .iter()
-            .filter(|p| p.label == label && here(p.query) && here(p.reference))
+            .filter(|p| p.label == label && is_here(p.query) && is_here(p.reference))
             .collect();
         let every = of_label.len().div_ceil(most).max(1);
         let path: String = of_label
@@ -53,7 +55,7 @@ pub(crate) fn map(id: &str, site: &str, keyframes: &[Keyframe], pairs: &[Pair]) 
         .collect();
     let bar_m = round_length((x_max - x_min).max(5.0) / 5.0);
     let description = format!(
-        "Map of site {site}: {} keyframes of {} logs, {n_positive} positive and {n_negative} negative pairs",
+        "Map of site {site}: {} keyframes in {} logs, {n_positive} matches and {n_negative} non-matches",
         of_site.len(),
         logs.len()
     );
@@ -66,26 +68,11 @@ pub(crate) fn map(id: &str, site: &str, keyframes: &[Keyframe], pairs: &[Pair]) 
                 path class="scale" d={ "M" (MARGIN) " " (px(height - 14.0)) "h" (px(bar_m * scale)) } {}
                 text x=(px(MARGIN + bar_m * scale + 8.0)) y=(px(height - 10.0)) { (bar_m) " m" }
                 text x=(SIZE - MARGIN) y=(px(height - 10.0)) text-anchor="end" {
-                    tspan class="key-positive" { (n_positive) " positive" } " · "
-                    tspan class="key-negative" { (n_negative) " negative" }
+                    tspan class="key-positive" { (n_positive) " matches" } " · "
+                    tspan class="key-negative" { (n_negative) " non-matches" }
                     @if n_negative_drawn < n_negative { " (" (n_negative_drawn) " drawn)" }
                 }
             }
         }
     }
-}
-
-/// A line through points, those left out that fall on the one before.
-pub(super) fn polyline(points: impl Iterator<Item = (f64, f64)>) -> String {
-    let mut path = String::new();
-    let mut last = String::new();
-    for (x, y) in points {
-        let at = format!("{} {}", px(x), px(y));
-        if at != last {
-            path.push(if path.is_empty() { 'M' } else { 'L' });
-            path.push_str(&at);
-            last = at;
-        }
-    }
-    path
 }

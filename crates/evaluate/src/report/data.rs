@@ -1,4 +1,4 @@
-//! Where the numbers come from.
+//! The data behind the numbers: what was left out, inputs and options.
 
 use std::collections::BTreeMap;
 
@@ -7,18 +7,18 @@ use maud::{Markup, html};
 use super::Fact;
 use crate::Input;
 
-pub(super) fn origins(input: &Input<'_>, facts: &[Fact]) -> Markup {
+pub(super) fn section(input: &Input<'_>, facts: &[Fact]) -> Markup {
     let mut keyframes: BTreeMap<&str, usize> = BTreeMap::new();
     for keyframe in input.keyframes {
         *keyframes.entry(&keyframe.id.log).or_default() += 1;
     }
     html! {
         section {
-            h2 { "Where this comes from" }
+            h2 { "Data and options" }
             @if input.dropped.is_empty() {
-                p { "Nothing was dropped: every scan and pose in the logs could be used." }
+                p { "Nothing was left out." }
             } @else {
-                p { b { "Left out" } ", by reason:" }
+                h3 { "Left out" }
                 ul { @for (reason, n) in input.dropped.iter() { li { (n) " " (reason) } } }
             }
             div class="scroll" {
