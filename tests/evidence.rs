@@ -1,4 +1,4 @@
-//! The evidence that a run gives: groupings, intervals, every pair, other label rules.
+//! The evaluation of a run: groupings, intervals, retrieval and other label rules.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -42,10 +42,10 @@ min_travel_gap_m = [0.0, 500.0]
 learners = ["discrete", "knn"]
 "#;
 
-/// A scan, or a block of ground, lies in one fold, and for each two folds that some pair touches
-/// there is a fit that saw neither (`train` tests that it did not).
+/// Each scan, or block of ground, is in one fold. For the two folds of each pair, there is a fit
+/// without them (the tests of `train` check that it did not use them).
 #[test]
-fn scans_and_places_are_kept_apart_and_every_pair_is_scored_once() {
+fn folds_do_not_split_scans_or_places_and_each_pair_is_scored_once() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "out", &[]).expect(0);
     let out = |name: &str| workplace.path("out").join(name);
@@ -53,7 +53,7 @@ fn scans_and_places_are_kept_apart_and_every_pair_is_scored_once() {
     let (pairs, _) = read_pairs(&out("pairs.parquet"), &keyframes).unwrap();
     let (scores, _) = read_scores(&out("scores.parquet"), &pairs).unwrap();
     let blocks: BTreeSet<_> = scores.iter().map(|s| (&*s.learner, &*s.grouping)).collect();
-    assert_eq!((blocks.len(), scores.len()), (12, 12), "4 learners by 3 groupings, each once");
+    assert_eq!((blocks.len(), scores.len()), (12, 12), "4 learners times 3 groupings, each once");
     let (rounds, _) = read_rounds(&out("rounds.parquet")).unwrap();
     let place = |k: &Keyframe| [k.pose.x_m, k.pose.y_m].map(|m| (m / 8.0).floor().to_string());
     for s in &scores {
@@ -82,20 +82,22 @@ fn scans_and_places_are_kept_apart_and_every_pair_is_scored_once() {
     }
 
     let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
-    for part in ["by scan", "no block of ground on both sides", "Every pair of a log"] {
+    for part in
+        ["by scan", "tested on ground not seen in training", "Retrieval at natural prevalence"]
+    {
         assert!(report.contains(part), "{part}");
     }
 }
 
-/// Counted from the keyframes alone.
+/// The expected counts are computed from the keyframes alone.
 #[test]
-fn every_pair_of_a_log_is_counted_by_the_label_rules() {
+fn retrieval_counts_all_pairs_of_a_log_by_the_label_rules() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "out", &["--set", "evaluate.recent_m=12.5"]).expect(0);
     let out = |name: &str| workplace.path("out").join(name);
     let (keyframes, _) = read_keyframes(&out("keyframes.parquet")).unwrap();
     let (rows, _) = read_retrieval(&out("retrieval.parquet")).unwrap();
-    // 3 learners (k-NN is too slow for it), 2 logs and both together, 2 readings.
+    // 3 learners (k-NN is too slow), 2 logs and both together, ambiguous pairs excluded or not.
     assert_eq!(rows.len(), 3 * 3 * 2);
     let mut of_all = [0; 3];
     for log in ["there", "back"] {
@@ -128,7 +130,7 @@ fn every_pair_of_a_log_is_counted_by_the_label_rules() {
     for row in rows.iter().filter(|r| r.log.is_none() && !r.ambiguous_as_negative) {
         assert_eq!([row.n_positive, row.n_ambiguous, row.n_negative], of_all);
         assert_eq!(row.curve.last().map(|p| p.true_positive), Some(row.n_positive));
-        // Average precision again from the curve, which is whole where there are so few positives.
+        // The average precision computed from the curve, which is complete for so few positives.
         let mut average_precision = 0.0;
         let mut before = 0;
         for point in &row.curve {
@@ -144,7 +146,7 @@ fn every_pair_of_a_log_is_counted_by_the_label_rules() {
         assert!(average_precision > 2.0 * base, "{average_precision} at {base}");
     }
 
-    // Thinned: fewer queries, and the report says so. Off: none.
+    // With `max_pairs` there are fewer queries; without retrieval there are no rows.
     workplace.command("run", "out", &["--set", "evaluate.max_pairs=10000"]).expect(0);
     let (thinned, _) = read_retrieval(&out("retrieval.parquet")).unwrap();
     assert!(thinned[0].query_stride > 1 && thinned[0].n_positive < rows[0].n_positive);
@@ -152,12 +154,12 @@ fn every_pair_of_a_log_is_counted_by_the_label_rules() {
     assert!(read_retrieval(&out("retrieval.parquet")).unwrap().0.is_empty());
 }
 
-/// A cell with the pipeline's own rules has the error that the pipeline has; one that asks for
-/// revisits longer than the drive says what is lacking.
+/// The cell with the rules of the pipeline has the error of the pipeline. A cell with a travel gap
+/// longer than the drive reports the missing pairs.
 #[test]
-fn the_grid_draws_pairs_by_other_rules() {
+fn the_grid_samples_pairs_by_other_rules() {
     let workplace = Workplace::new(PIPELINE);
-    let told = workplace.command("run", "out", &[]).expect(0);
+    let finished = workplace.command("run", "out", &[]).expect(0);
     let out = |name: &str| workplace.path("out").join(name);
     let (cells, _) = read_grid(&out("grid.parquet")).unwrap();
     assert_eq!(cells.len(), 2 * 2 * 2 * 2);
@@ -166,8 +168,9 @@ fn the_grid_draws_pairs_by_other_rules() {
         .find(|c| c.learner == "discrete" && c.positive_radius_m > 1.2 && c.negative_min_m < 40.0);
     let own = own.unwrap().error.clone().unwrap();
     let line = format!("discrete by place: error {:.1} % at T = 10", own * 100.0);
-    assert!(told.stdout.contains(&line), "{line}\n{}", told.stdout);
-    // Pairs of two logs have no path between them: revisits are these alone.
+    assert!(finished.stdout.contains(&line), "{line}\n{}", finished.stdout);
+    assert!(!finished.stdout.contains("at T = 10, "), "T is printed once:\n{}", finished.stdout);
+    // Only pairs of two logs are revisits: there is no path between their scans.
     for cell in cells.iter().filter(|c| c.min_travel_gap_m > 0.0) {
         match &cell.error {
             Ok(error) => assert!((0.0..=1.0).contains(error)),
@@ -182,7 +185,7 @@ fn the_grid_draws_pairs_by_other_rules() {
 }
 
 #[test]
-fn the_evidence_does_not_depend_on_the_number_of_threads() {
+fn the_evaluation_does_not_depend_on_the_number_of_threads() {
     let workplace = Workplace::new(PIPELINE);
     for (out, threads) in [("one", 1), ("eight", 8)] {
         workplace.command_with_threads("run", out, &[], threads).expect(0);
@@ -190,19 +193,19 @@ fn the_evidence_does_not_depend_on_the_number_of_threads() {
     let (one, eight) = (workplace.files("one"), workplace.files("eight"));
     assert_eq!(one.keys().collect::<Vec<_>>(), eight.keys().collect::<Vec<_>>());
     for (name, bytes) in &one {
-        assert!(eight[name] == *bytes, "{name} has other bytes");
+        assert!(eight[name] == *bytes, "{name} differs");
     }
 }
 
 #[test]
-fn the_numbers_are_printed_as_json_and_nothing_else_is() {
+fn json_output_contains_only_the_numbers() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "out", &[]).expect(0);
     let printed = workplace.command("evaluate", "out", &["--json"]).expect(0).stdout;
-    let told: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    let parsed: serde_json::Value = serde_json::from_str(&printed).unwrap();
     assert_eq!(printed.as_bytes(), workplace.files("out")["evaluation/summary.json"]);
-    assert_eq!(told["pairs"], serde_json::json!({ "positive": 150, "negative": 150 }));
-    let summary = told["summary"].as_array().unwrap();
+    assert_eq!(parsed["pairs"], serde_json::json!({ "positive": 150, "negative": 150 }));
+    let summary = parsed["summary"].as_array().unwrap();
     assert_eq!(summary.len(), 12);
     for row in summary {
         let error = row["error"]["value"].as_f64().unwrap();
@@ -215,7 +218,7 @@ fn the_numbers_are_printed_as_json_and_nothing_else_is() {
 }
 
 #[test]
-fn what_cannot_be_held_out_is_refused_with_the_remedy() {
+fn a_grouping_that_cannot_be_held_out_gives_an_error_with_the_remedy() {
     let workplace = Workplace::new(PIPELINE);
     let by_log = ["--set", "evaluate.groupings=[\"log\"]"];
     let one = ["--set", "simulate.logs=[\"there\"]"];
@@ -223,15 +226,15 @@ fn what_cannot_be_held_out_is_refused_with_the_remedy() {
         .command("run", "out", &[one, by_log].concat())
         .expect(2)
         .says(&["`evaluate.groupings` has `log`", "add logs, or leave `log` out"]);
-    assert!(!workplace.path("out/logs").exists(), "before anything is done");
-    // Two logs, and pairs between them: without both nothing is left to learn from.
+    assert!(!workplace.path("out/logs").exists(), "the error comes before any stage runs");
+    // With two logs, no training pairs remain without both.
     let why = "grouping `log`: without folds 0 and 1, 0 positive and 0 negative pairs are left";
     let none = workplace.command("run", "out", &by_log).expect(1);
     none.says(&["no grouping can be evaluated", why, "leave the grouping out"]);
-    // Beside a grouping that can be evaluated it is left out and told, or is an error.
+    // With another grouping that can be evaluated, it is left out and reported, or it is an error.
     let both = ["--set", "evaluate.groupings=[\"pair\", \"log\"]"];
-    let told = workplace.command("run", "out", &both).expect(0).stdout;
-    assert!(told.contains(&format!("train      left out: {why}")), "{told}");
+    let stdout = workplace.command("run", "out", &both).expect(0).stdout;
+    assert!(stdout.contains(&format!("train      left out: {why}")), "{stdout}");
     let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
     assert!(report.contains(&format!("Not evaluated: {why}")));
     let required = [both, ["--set", "evaluate.require_groupings=true"]].concat();

@@ -157,11 +157,11 @@ fn results_go_to_stdout_and_nothing_else_does() {
     for part in [
         "id=\"error-curve-pair\"",
         "id=\"precision-recall-scan\"",
-        "id=\"every-pair\"",
+        "id=\"retrieval\"",
         "id=\"first-rounds\"",
         "id=\"false-alarm-1\"",
         "id=\"ground-1\"",
-        "Features chosen",
+        "Selected features",
         "Map of site building",
     ] {
         assert!(report.contains(part), "{part}");

@@ -1,5 +1,6 @@
-"""Opens a report in headless Chromium, as a phone and as a desktop, light and dark: no word on the
-console, every figure drawn and within the page, nothing wider than the screen.
+"""Opens a report in headless Chromium with a phone and a desktop screen, light and dark, and checks
+that nothing is written to the console, that every figure is drawn inside the page, and that nothing
+is wider than the screen.
 
 usage: browser.py REPORT.html
 """
@@ -22,11 +23,11 @@ import urllib.request
 report = pathlib.Path(sys.argv[1]).resolve()
 FIGURES = ["first-rounds", "match-1", "non-match-1", "map-1", "ground-1"]
 GROUPINGS = re.findall(r'id="error-curve-(\w+)"', report.read_text())
-assert GROUPINGS, "no figure 4"
+assert GROUPINGS, "no error curve"
 FIGURES += [f"{figure}-{grouping}" for figure in ["error-curve", "precision-recall"] for grouping in GROUPINGS]
 
-# What the page looks like: boxes of all figures, whether something sticks out, the colours.
-LOOK = """(() => {
+# Measures the page: the boxes of all figures, the width of the page, the smallest text, the colours.
+MEASURE = """(() => {
   const box = e => { const b = e.getBoundingClientRect(); return [b.left, b.width, b.height]; };
   return JSON.stringify({
     figures: Object.fromEntries([...document.querySelectorAll('svg[id]')].map(e => [e.id, box(e)])),
@@ -42,7 +43,7 @@ LOOK = """(() => {
 
 
 class Page:
-    """A tab of a browser, spoken to over the DevTools protocol (a WebSocket, RFC 6455)."""
+    """A browser tab, controlled over the DevTools protocol (a WebSocket, RFC 6455)."""
 
     def __init__(self, address):
         host, port, path = re.match(r"ws://([^:/]+):(\d+)(/.*)", address).groups()
@@ -86,29 +87,29 @@ class Page:
             self.events.append(self.receive())
 
 
-def look(page, width, height, scheme):
+def check(page, width, height, scheme):
     page.events.clear()
     page.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
     page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
     page.call("Page.navigate", url=report.as_uri())
     page.wait_for("Page.loadEventFired")
-    seen = json.loads(page.call("Runtime.evaluate", expression=LOOK)["result"]["value"])
-    loud = ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded")
-    spoken = [event for event in page.events if event.get("method") in loud]
-    assert not spoken, spoken
+    seen = json.loads(page.call("Runtime.evaluate", expression=MEASURE)["result"]["value"])
+    console = ("Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded")
+    messages = [event for event in page.events if event.get("method") in console]
+    assert not messages, f"console messages: {messages}"
     fetched = [e["params"]["request"]["url"] for e in page.events if e.get("method") == "Network.requestWillBeSent"]
     assert all(url == report.as_uri() for url in fetched), fetched
     for figure in FIGURES:
-        assert figure in seen["figures"], f"no figure {figure}"
+        assert figure in seen["figures"], f"figure {figure} is missing"
     for figure, (left, wide, high) in seen["figures"].items():
         assert wide > 100 and high > 50, f"{figure} is {wide} x {high} at width {width}"
-        assert 0 <= left and left + wide <= width + 1, f"{figure} sticks out at width {width}"
+        assert 0 <= left and left + wide <= width + 1, f"{figure} is outside the page at width {width}"
     for grouping in GROUPINGS:
         for figure in [f"error-curve-{grouping}", f"precision-recall-{grouping}"]:
             assert seen["lines"][figure] >= 3, f"{figure} has fewer than 3 lines"
-    assert seen["unnamed"] == 0, "a figure without a description"
-    assert seen["width"] <= seen["screen"], f"the page is {seen['width']} wide on a screen of {seen['screen']}"
-    assert seen["smallest"] >= 8, f"letters of {seen['smallest']} px at width {width}"
+    assert seen["unnamed"] == 0, "a figure has no aria-label"
+    assert seen["width"] <= seen["screen"], f"the page is {seen['width']} px wide, the screen {seen['screen']} px"
+    assert seen["smallest"] >= 8, f"text of {seen['smallest']} px at width {width}, expected 8 px or more"
     return seen
 
 
@@ -118,11 +119,11 @@ with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
     command = ["chromium", *flags.split(), f"--user-data-dir={profile}", "about:blank"]
     browser = subprocess.Popen(command, stderr=subprocess.PIPE)
     try:
-        words, end = b"", time.monotonic() + 60
-        while not (found := re.search(rb"DevTools listening on ws://([\d.:]+)/", words)):
-            assert time.monotonic() < end, words.decode()
+        output, end = b"", time.monotonic() + 60
+        while not (found := re.search(rb"DevTools listening on ws://([\d.:]+)/", output)):
+            assert time.monotonic() < end, output.decode()
             if select.select([browser.stderr], [], [], 1)[0]:
-                words += os.read(browser.stderr.fileno(), 65536)
+                output += os.read(browser.stderr.fileno(), 65536)
         with urllib.request.urlopen(f"http://{found[1].decode()}/json/list") as answer:
             tab = next(tab for tab in json.load(answer) if tab["type"] == "page")
         page = Page(tab["webSocketDebuggerUrl"])
@@ -130,12 +131,12 @@ with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
             page.call(f"{domain}.enable")
         papers = set()
         for (width, height), scheme in itertools.product([(390, 844), (1280, 900)], ["light", "dark"]):
-            seen = look(page, width, height, scheme)
+            seen = check(page, width, height, scheme)
             papers.add((scheme, seen["paper"]))
-        assert len({paper for _, paper in papers}) == 2, f"light and dark look alike: {papers}"
+        assert len({paper for _, paper in papers}) == 2, f"the background is the same in light and dark mode: {papers}"
     finally:
         browser.terminate()
         browser.wait()
 size = report.stat().st_size
-assert size < 3_000_000, f"{size} bytes"
-print(f"{report.name}: {len(seen['figures'])} figures at 390 and 1280 px, light and dark, nothing on the console, {size // 1000} kB")
+assert size < 3_000_000, f"the report has {size} bytes, expected less than 3,000,000"
+print(f"{report.name}: {len(seen['figures'])} figures checked at 390 and 1280 px, light and dark, no console messages, {size // 1000} kB")

@@ -1,5 +1,5 @@
-"""Compares the measures of a run folder with scikit-learn's, and its intervals with a bootstrap in
-numpy that draws by itself.
+"""Compares the measures of a run folder with scikit-learn, and the intervals with an independent
+bootstrap in numpy.
 
 usage: measures.py RUN_FOLDER
 """
@@ -18,7 +18,7 @@ random = np.random.default_rng(0)
 
 
 def measures(y, c, w=None):
-    """Error at 0, average precision, recall at no false alarm, detection at 1 %, greatest F1."""
+    """Error at threshold 0, average precision, recall at 0 % and 1 % false alarm, maximum F1."""
     false_alarm, recall, _ = roc_curve(y, c, drop_intermediate=False, sample_weight=w)
     p, r, _ = precision_recall_curve(y, c, sample_weight=w)
     with np.errstate(invalid="ignore"):
@@ -32,7 +32,7 @@ def measures(y, c, w=None):
     }
 
 
-worst, apart = 0.0, []
+worst, offsets = 0.0, []
 for row in summary:
     rows = scores[(scores.learner == row["learner"]) & (scores.grouping == row["grouping"])]
     y, c = rows.label.to_numpy(), np.array([c[-1] for c in rows.confidences])
@@ -45,13 +45,13 @@ for row in summary:
     a, b = ends.reshape(-1, 2).T
     drawn = random.multinomial(len(groups), np.full(len(groups), 1 / len(groups)), size=400)
     weights = np.where(a == b, drawn[:, a], drawn[:, a] * drawn[:, b])
-    theirs = pd.DataFrame([measures(y, c, w) for w in weights])
+    expected = pd.DataFrame([measures(y, c, w) for w in weights])
     for name in ["error", "average_precision", "max_f1"]:
-        low, high = np.quantile(theirs[name], [0.025, 0.975])
+        low, high = np.quantile(expected[name], [0.025, 0.975])
         width = high - low
         found = row[name]["interval"]
-        # 400 and 1000 resamples know a bound to a tenth of the width or so.
-        apart += [abs(found[0] - low) / width, abs(found[1] - high) / width]
-        assert max(apart[-2:]) < 0.35, (row["learner"], row["grouping"], name, found, low, high)
-print(f"{len(summary)} learners by groupings: measures differ by {worst:.1e} at most, "
-      f"bounds by {100 * np.mean(apart):.0f} % of the interval's width on average, {100 * max(apart):.0f} % at most")
+        # 400 and 1000 resamples determine a bound to about a tenth of the width.
+        offsets += [abs(found[0] - low) / width, abs(found[1] - high) / width]
+        assert max(offsets[-2:]) < 0.35, (row["learner"], row["grouping"], name, found, low, high)
+print(f"{len(summary)} combinations of learner and grouping: measures differ by at most {worst:.1e}, "
+      f"bounds by {100 * np.mean(offsets):.0f} % of the interval's width on average, {100 * max(offsets):.0f} % at most")

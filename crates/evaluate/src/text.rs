@@ -23,14 +23,30 @@ pub(crate) fn distinct<'a>(values: impl Iterator<Item = &'a str>) -> Vec<&'a str
 pub(crate) fn learner_name(learner: &str) -> String {
     match learner {
         "discrete" => "Discrete AdaBoost",
-        "gentle_line" => "Gentle AdaBoost, lines",
-        "gentle_stump" => "Gentle AdaBoost, stumps",
-        "logit_trees" => "LogitBoost, trees",
-        "knn" => "k-NN (k = 5)",
+        "gentle_line" => "Gentle AdaBoost (lines)",
+        "gentle_stump" => "Gentle AdaBoost (stumps)",
+        "logit_trees" => "LogitBoost (trees)",
+        "knn" => "k-NN (k\u{a0}=\u{a0}5)",
         "svm" => "linear SVM",
         other => other,
     }
     .to_owned()
+}
+
+/// A shorter name of a learner, for legends.
+pub(crate) fn short_learner_name(learner: &str) -> String {
+    learner_name(learner).replace("Gentle AdaBoost", "Gentle")
+}
+
+/// What the folds of a grouping consist of.
+pub(crate) fn grouping_unit(grouping: &str) -> &'static str {
+    match grouping {
+        "pair" => "pairs",
+        "scan" => "scans",
+        "place" => "blocks of ground",
+        "log" => "logs",
+        _ => "groups",
+    }
 }
 
 /// How a grouping separates test pairs from training pairs.

@@ -3,7 +3,9 @@
 use dataset::RetrievalPoint;
 
 use super::chart::{Axis, Bound, Chart, Series, ticks};
-use crate::text::{PAPER_ERROR_BELOW, PAPER_ROUNDS, distinct, learner_name, percent};
+use crate::text::{
+    PAPER_ERROR_BELOW, PAPER_ROUNDS, distinct, learner_name, percent, short_learner_name,
+};
 use crate::{ErrorRow, Evaluation, Input, PrPoint};
 
 /// The error against the number of boosting rounds, one line per learner.
@@ -51,7 +53,7 @@ fn error_series(input: &Input<'_>, learner: &str, rows: &[&ErrorRow], n_rounds: 
         (row.rounds as f64, error, text)
     };
     let marks = rows.iter().skip(mark_step - 1).step_by(mark_step).map(mark).collect();
-    Series { style: line_style(input, learner), points, marks, name }
+    Series { name: short_learner_name(learner), style: line_style(input, learner), points, marks }
 }
 
 fn rounds_axis(n_rounds: usize) -> Axis {
@@ -140,7 +142,7 @@ fn precision_recall_series(input: &Input<'_>, learner: &str, points: Vec<(f64, f
             marks.push((recall, precision, text));
         }
     }
-    Series { name, style: line_style(input, learner), points, marks }
+    Series { name: short_learner_name(learner), style: line_style(input, learner), points, marks }
 }
 
 fn recall_axis() -> Axis {

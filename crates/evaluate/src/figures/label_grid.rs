@@ -27,7 +27,7 @@ const BOTTOM: f64 = 46.0;
 const WIDTH: f64 = 480.0;
 const MIN_ROW: f64 = 44.0;
 /// Leaves space for the title of the vertical axis.
-const MIN_HEIGHT: f64 = 150.0;
+const MIN_HEIGHT: f64 = 190.0;
 
 /// A heat map for each learner and minimum travel gap of the grid.
 pub(super) fn heat_maps(input: &Input<'_>) -> Vec<HeatMap> {

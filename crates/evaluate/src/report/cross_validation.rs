@@ -7,7 +7,7 @@ use super::figure;
 use super::headline::estimate_cell;
 use crate::bootstrap::{MIN_GROUPS, Summary};
 use crate::figures::Figure;
-use crate::text::{NO_VALUE, grouping_meaning, learner_name, percent};
+use crate::text::{NO_VALUE, grouping_meaning, grouping_unit, learner_name, percent};
 use crate::{Evaluation, Input, PRECISION_RECALL_ROUNDS};
 
 pub(super) fn section(input: &Input<'_>, evaluation: &Evaluation, figures: &[Figure]) -> Markup {
@@ -19,7 +19,7 @@ pub(super) fn section(input: &Input<'_>, evaluation: &Evaluation, figures: &[Fig
                 "on equal numbers of both classes. A pair is classified as a match if its confidence is 0 or more. "
                 "The measures from average precision on consider all thresholds."
                 @if input.resamples > 0 {
-                    " Below each value is its 95\u{a0}% interval over " (input.resamples) " bootstrap resamples of the groups."
+                    " Below each value is its 95\u{a0}% interval over " (input.resamples) " bootstrap resamples."
                 }
             }
             @for grouping in evaluation.groupings() {
@@ -44,20 +44,20 @@ fn grouping_section(
     html! {
         h3 { "By " (grouping) ": " (grouping_meaning(grouping)) }
         p class="note" {
-            (n_folds) " folds, " (n_groups) " groups, " (fewest)
+            (n_groups) " " (grouping_unit(grouping)) " in " (n_folds) " folds. Each classifier is trained on " (fewest)
             @if fewest < most { " to " (most) }
-            " training pairs."
-            @if n_groups < MIN_GROUPS { " No intervals: fewer than " (MIN_GROUPS) " groups." }
+            " pairs."
+            @if n_groups < MIN_GROUPS { " No intervals: fewer than " (MIN_GROUPS) " " (grouping_unit(grouping)) "." }
             @else if input.resamples == 0 { " No intervals: " code { "evaluate.resamples" } " is 0." }
         }
         (measures_table(input, evaluation, &rows, [few, last]))
         div class="figures" {
             (figure(figures, &format!("error-curve-{grouping}"), &html! {
-                "Error after T rounds, by " (grouping) " (paper, Figure 4). Baselines have no rounds: their lines are horizontal. "
-                "Point at a line to see its values."
+                "Error after T rounds, by " (grouping) " (paper, Figure\u{a0}4). Baselines have no rounds: their lines are horizontal. "
+                "Hover over a line to see its values."
             }))
             (figure(figures, &format!("precision-recall-{grouping}"), &html! {
-                "Precision against recall at T\u{a0}=\u{a0}" (few) ", by " (grouping) " (paper, Figure 5)."
+                "Precision against recall at T\u{a0}=\u{a0}" (few) ", by " (grouping) " (paper, Figure\u{a0}5)."
             }))
         }
     }

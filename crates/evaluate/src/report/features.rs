@@ -19,14 +19,14 @@ pub(super) fn section(input: &Input<'_>, evaluation: &Evaluation, figures: &[Fig
         section {
             h2 { "Selected features" }
             p {
-                "The feature that each of the first " (ROUNDS_SHOWN) " rounds selects when trained on all pairs (paper, Table I). Below it: "
+                "The feature that each of the first " (ROUNDS_SHOWN) " rounds selects when trained on all pairs (paper, Table\u{a0}I). Below it: "
                 "the error after this round, cross-validated by " (first) ", and how many of the cross-validation fits select the same feature in this round. "
                 "All rounds are in " code { "evaluation/selection.parquet" } "."
             }
             (selection_table(input, evaluation, first))
             div class="figures" {
                 (figure(figures, "first-rounds", &html! {
-                    "The pairs by the first two selected features, with their thresholds (paper, Figure 2). Small differences speak for a match."
+                    "The labelled pairs by the first two selected features, with the thresholds of these rounds (paper, Figure\u{a0}2). The differences of matches are small."
                 }))
                 (single_features(input))
             }

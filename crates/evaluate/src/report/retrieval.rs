@@ -19,8 +19,8 @@ pub(super) fn section(input: &Input<'_>, figures: &[Figure]) -> Markup {
         section {
             h2 { "Retrieval at natural prevalence" }
             p {
-                "Each scan is compared with all earlier scans of its log except the most recent part of the path, "
-                "as a robot does when it looks for loop closures."
+                "Each scan is compared with all earlier scans of its log except those from the most recent part of the path, "
+                "as a robot does when it looks for loop closures. Few of these pairs match."
             }
             (pair_counts(first))
             h3 { "Ambiguous pairs excluded" }
@@ -43,8 +43,8 @@ fn pair_counts(first: &Retrieval) -> Markup {
         p {
             "Of " (thousands(first.n_positive + first.n_negative)) " pairs, " (thousands(first.n_positive))
             " (" b { (prevalence(first)) } ") are matches. "
-            (thousands(first.n_ambiguous)) " more pairs are ambiguous: too far apart to be matches and too close to be non-matches. "
-            "The scores are those of cross-validation by " (first.grouping) ": each classifier scores only scans that it was not trained on."
+            (thousands(first.n_ambiguous)) " more pairs are ambiguous: too far apart for a match and too close for a non-match. "
+            "The classifiers are those of the cross-validation by " (first.grouping) ": each pair is scored by one trained without the folds of its two scans."
             @if first.n_unscored > 0 {
                 " " (thousands(first.n_unscored)) " pairs have no score: without their folds, one class has no training pairs."
             }

@@ -19,10 +19,10 @@ pub(super) fn pairs_section(input: &Input<'_>, sketches: &Sketches, figures: &[F
                 "The most confident decisions of " (learner_name(learner)) ", cross-validated by " (grouping)
                 ". The robot is at the centre of each scan and faces up."
             }
-            h3 { "Correct (paper, Figure 1)" }
+            h3 { "Correct (paper, Figure\u{a0}1)" }
             div class="pairs" { (pair_figures(input, sketches, figures, correct)) }
             @if has_mistakes {
-                h3 { "Worst mistakes (paper, Figure 6)" }
+                h3 { "Worst mistakes (paper, Figure\u{a0}6)" }
                 div class="pairs" { (pair_figures(input, sketches, figures, mistakes)) }
                 p class="note" { "All mistakes are in " code { "evaluation/mistakes.parquet" } ", the most confident first." }
             } @else {
@@ -48,7 +48,7 @@ fn pair_figures(
                     "scan " (a.scan)
                     @if a.log != b.log { " of " (a.log) }
                     " and scan " (b.scan) " of " (b.log)
-                    @if pair.distance_m.is_finite() { ", " (format!("{:.1}", pair.distance_m)) " m apart" }
+                    @if pair.distance_m.is_finite() { ", " (format!("{:.1}", pair.distance_m)) "\u{a0}m\u{a0}apart" }
                 }))
             }
         }
@@ -63,7 +63,7 @@ pub(super) fn maps_section(input: &Input<'_>, figures: &[Figure]) -> Markup {
                 @for (k, site) in distinct(input.keyframes.iter().map(|k| &*k.site)).into_iter().enumerate() {
                     @let n = input.keyframes.iter().filter(|k| &*k.site == site).count();
                     (figure(figures, &format!("ground-{}", k + 1), &html! {
-                        b { (site) } ": " (n) " scans drawn along the path (paper, Figure 3b)"
+                        b { (site) } ": " (n) " scans drawn along the path (paper, Figure\u{a0}3b)"
                     }))
                     (figure(figures, &format!("map-{}", k + 1), &html! {
                         b { (site) } ": the path and the labelled pairs"
