@@ -249,14 +249,14 @@ fn a_stage_takes_no_table_made_with_other_options_or_from_other_files() {
     for (option, says) in [
         (
             "label.positive_radius_m=2.9",
-            ["pairs.parquet", "positive_radius_m 1.5 is now 2.9", "loopboost label"],
+            ["pairs.parquet", "positive_radius_m: 1.5 -> 2.9", "loopboost label"],
         ),
-        ("featurize.gate_m=9", ["features.parquet", "gate_m 2.5 is now 9", "loopboost featurize"]),
+        ("featurize.gate_m=9", ["features.parquet", "gate_m: 2.5 -> 9", "loopboost featurize"]),
         (
             "ingest.lidar.range_max_m=12",
-            ["a.parquet", "range_max_m 70.0 is now 12", "loopboost ingest"],
+            ["a.parquet", "range_max_m: 70.0 -> 12", "loopboost ingest"],
         ),
-        ("seed=8", [".parquet", "seed 2436 is now 8", "loopboost run"]),
+        ("seed=8", [".parquet", "seed: 2436 -> 8", "loopboost run"]),
     ] {
         workplace.command("train", "out", &["--set", option]).expect(1).says(&says);
     }
@@ -267,7 +267,7 @@ fn a_stage_takes_no_table_made_with_other_options_or_from_other_files() {
     workplace
         .command("train", "out", &few)
         .expect(1)
-        .says(&["pairs.parquet does not fit this pipeline", "keyframes.parquet has changed"]);
+        .says(&["pairs.parquet was not made with this pipeline", "keyframes.parquet has changed"]);
     workplace.command("label", "out", &few).expect(0);
     workplace
         .command("train", "out", &few)

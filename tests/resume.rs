@@ -113,7 +113,7 @@ fn a_dry_run_tells_what_would_be_done_and_why_and_does_nothing() {
     assert!(dry(&[]).lines().all(|line| line.ends_with("up to date")), "{}", dry(&[]));
     let told = dry(&["--set", "label.positive_radius_m=2", "--force", "featurize"]);
     for line in [
-        "label                    would run: positive_radius_m 1.5 is now 2.0",
+        "label                    would run: positive_radius_m: 1.5 -> 2.0",
         "featurize                would run: forced",
         "train                    would run if its inputs change: pairs.parquet may change, features.parquet may change",
         "subsample                up to date",
@@ -195,7 +195,7 @@ fn a_second_run_on_the_same_folder_is_refused() {
     workplace
         .command("run", "out", &[])
         .expect(1)
-        .says(&["another run is at work on", "choose another --out"]);
+        .says(&["another run is using", "choose another --out"]);
     drop(lock);
     workplace.command("run", "out", &[]).expect(0);
 }
@@ -239,7 +239,7 @@ fn log_and_verify_tell_where_things_come_from_and_what_has_changed() {
     let verify = || loopboost(&["verify", out.to_str().unwrap()]);
     assert!(verify().expect(0).stdout.contains(" 0 faults"));
     for artifact in [&model, &out.join("report.html"), &out.join("evaluation/errors.parquet")] {
-        let told = loopboost(&["log", artifact.to_str().unwrap()]).expect(0).stdout;
+        let told = loopboost(&["lineage", artifact.to_str().unwrap()]).expect(0).stdout;
         for name in ["keyframes.parquet", "scans/there.parquet", "logs/back.mcap", "seed 7"] {
             assert!(told.contains(name), "{name} is not in:\n{told}");
         }
@@ -256,15 +256,15 @@ fn log_and_verify_tell_where_things_come_from_and_what_has_changed() {
     ] {
         assert!(told.stdout.contains(line), "`{line}` is not in:\n{}", told.stdout);
     }
-    let told = loopboost(&["log", model.to_str().unwrap()]).expect(0).stdout;
+    let told = loopboost(&["lineage", model.to_str().unwrap()]).expect(0).stdout;
     assert!(
         told.lines().any(|l| l.contains("pairs.parquet") && l.contains("has changed since")),
         "{told}"
     );
     loopboost(&["verify", workplace.path("").to_str().unwrap()])
         .expect(1)
-        .says(&["is no run folder"]);
-    loopboost(&["log", workplace.path("drive.toml").to_str().unwrap()])
+        .says(&["is not a run folder"]);
+    loopboost(&["lineage", workplace.path("drive.toml").to_str().unwrap()])
         .expect(1)
         .says(&["carries no provenance"]);
 }
@@ -284,7 +284,7 @@ fn models_are_listed_shown_compared_verified_and_exported() {
     let card = loopboost(&["model", "show", &a]).expect(0).stdout;
     assert_eq!(card, fs::read_to_string(path("models/drive-discrete/1.0.0/card.md")).unwrap());
     let diff = loopboost(&["model", "diff", &a, &b]).expect(0).stdout;
-    assert!(diff.contains("label_options.positive_radius_m 1.5 is now 2.0"), "{diff}");
+    assert!(diff.contains("label_options.positive_radius_m: 1.5 -> 2.0"), "{diff}");
     assert!(loopboost(&["model", "diff", &a, &a]).expect(0).stdout.contains("no difference"));
     loopboost(&["model", "verify", &path("models")]).expect(0);
     for learner in ["discrete", "gentle_line", "gentle_stump"] {

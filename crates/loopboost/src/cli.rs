@@ -1,20 +1,25 @@
+//! The command line.
+
 use std::path::PathBuf;
 
 use anyhow::Result;
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Arg, ArgAction, ArgMatches, Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 use dataset::Dropped;
 
-use crate::config::Config;
+use crate::config::{Config, usage};
 use crate::import::ImportArgs;
 use crate::inspect::InspectArgs;
 use crate::run::{Mode, Run};
+use crate::stage::Stage;
 use crate::{inspect, lineage, models, pipeline, stages};
 
 /// Turns the drive logs that robots record into loop-closure classifiers.
 ///
-/// A pipeline file holds every parameter of a run. `run` does all stages, of which it redoes only
-/// what has changed; each stage is also a command of its own on the same folder. Exit codes: 0
-/// done, 1 failed, 2 usage, 3 done but some data could not be used.
+/// A pipeline file contains every parameter of a run. `run` runs all stages and repeats only those
+/// whose inputs or options have changed. Each stage is also a command of its own on the same
+/// folder. Exit codes: 0 done, nothing needs attention; 1 failed; 2 wrong command line or pipeline
+/// file; 3 done, but data was dropped or a warning needs attention (docs/messages.md explains each
+/// code).
 #[derive(Parser)]
 #[command(version)]
 pub(crate) struct Cli {
@@ -24,57 +29,39 @@ pub(crate) struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Do all stages, from logs to report; redo only what has changed
+    /// Run all stages, from logs to report; repeat only what has changed
     Run {
         #[command(flatten)]
         args: PipelineArgs,
-        /// Do a stage again though nothing has changed
+        /// Repeat a stage even if nothing has changed
         #[arg(long, value_name = "STAGE", value_enum)]
         force: Vec<Stage>,
-        /// Tell what would be done, and why, and do nothing
+        /// Show what would run, and why, without running it
         #[arg(long)]
         dry_run: bool,
         /// Stop at a log that cannot be ingested, instead of leaving it out
         #[arg(long)]
         strict: bool,
     },
-    /// Make the logs of the pipeline's [simulate] section
-    Simulate(PipelineArgs),
-    /// Logs -> scans/LOG.parquet, poses/LOG.parquet
-    Ingest {
-        #[command(flatten)]
-        args: PipelineArgs,
-        /// Stop at a log that cannot be ingested, instead of leaving it out
-        #[arg(long)]
-        strict: bool,
-    },
-    /// Scans and poses -> keyframes.parquet
-    Subsample(PipelineArgs),
-    /// Keyframes -> pairs.parquet
-    Label(PipelineArgs),
-    /// Keyframes -> features.parquet
-    Featurize(PipelineArgs),
-    /// Pairs and features -> models/, scores.parquet, rounds.parquet
-    Train(PipelineArgs),
-    /// Scores -> evaluation/, report.html
-    Evaluate {
-        #[command(flatten)]
-        args: PipelineArgs,
-        /// Print the numbers of the report as JSON, and nothing else
-        #[arg(long)]
-        json: bool,
-    },
-    /// Tell what a log holds and which pipeline would fit it
+    #[command(flatten)]
+    Stage(StageCommand),
+    /// Show what a log contains, what is wrong with it, and suggest a pipeline file
     Inspect(InspectArgs),
-    /// Turn a recording in another format into an MCAP log
+    /// Convert a recording of another format to an MCAP log
     Import(ImportArgs),
-    /// Tell what an artifact was made from, up to the logs
-    Log {
+    /// Show what an artifact was made from, back to the logs
+    Lineage {
         /// A table, a model.json or a report.html
         artifact: PathBuf,
     },
-    /// Recheck every digest of a run folder: what has changed, is missing, or is newer than what was
-    /// made from it
+    /// The former name of `lineage`.
+    #[command(hide = true)]
+    Log {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        _rest: Vec<String>,
+    },
+    /// Check every digest of a run folder: files that changed, are missing, or are newer than what
+    /// was made from them
     Verify {
         /// A run folder
         folder: PathBuf,
@@ -87,7 +74,7 @@ enum Command {
         /// Which file
         file: SchemaOf,
     },
-    /// List, show, compare, check and export models
+    /// List, show, compare, verify and export models
     Model {
         #[command(subcommand)]
         command: ModelCommand,
@@ -96,7 +83,7 @@ enum Command {
 
 #[derive(Subcommand)]
 enum ModelCommand {
-    /// List the models below a folder
+    /// List the models in a folder
     List {
         /// A run folder, or a folder of models
         folder: PathBuf,
@@ -106,26 +93,26 @@ enum ModelCommand {
         /// A model.json
         model: PathBuf,
     },
-    /// Tell how two models differ
+    /// Show how two models differ
     Diff {
         /// A model.json
         a: PathBuf,
-        /// Another
+        /// Another model.json
         b: PathBuf,
     },
-    /// Check every value and the digest of a model, or of all below a folder
+    /// Check every value and the digest of a model, or of all models in a folder
     Verify {
         /// A model.json or a folder
         path: PathBuf,
     },
-    /// Write a model for other runtimes
+    /// Export a model for other runtimes
     Export {
         /// A model.json
         model: PathBuf,
         /// The ONNX file to write: F = |f_a - f_b| in, confidence and label out
         #[arg(long, value_name = "FILE")]
         onnx: PathBuf,
-        /// Confidence from which a pair is labelled positive
+        /// A pair with at least this confidence is labelled positive
         #[arg(long, default_value_t = 0.0, allow_negative_numbers = true)]
         threshold: f64,
     },
@@ -139,60 +126,102 @@ enum SchemaOf {
     Model,
 }
 
-#[derive(Clone, Copy, ValueEnum)]
-enum Stage {
-    Simulate,
-    Ingest,
-    Subsample,
-    Label,
-    Featurize,
-    Train,
-    Evaluate,
+/// A stage as a command of its own. Names and help come from [`Stage`].
+struct StageCommand {
+    stage: Stage,
+    args: PipelineArgs,
+    /// Only `ingest` has this flag.
+    strict: bool,
+    /// Only `evaluate` has this flag.
+    json: bool,
+}
+
+const STRICT: &str = "strict";
+const JSON: &str = "json";
+
+impl Subcommand for StageCommand {
+    fn augment_subcommands(command: clap::Command) -> clap::Command {
+        Stage::ALL.into_iter().fold(command, |command, stage| {
+            let flag = |name, help| Arg::new(name).long(name).action(ArgAction::SetTrue).help(help);
+            let own = clap::Command::new(stage.name()).about(stage.spec().help);
+            let own = PipelineArgs::augment_args(own);
+            command.subcommand(match stage {
+                Stage::Ingest => own.arg(flag(
+                    STRICT,
+                    "Stop at a log that cannot be ingested, instead of leaving it out",
+                )),
+                Stage::Evaluate => {
+                    own.arg(flag(JSON, "Print the numbers of the report as JSON, and nothing else"))
+                }
+                _ => own,
+            })
+        })
+    }
+
+    fn augment_subcommands_for_update(command: clap::Command) -> clap::Command {
+        Self::augment_subcommands(command)
+    }
+
+    fn has_subcommand(name: &str) -> bool {
+        Stage::ALL.into_iter().any(|stage| stage.name() == name)
+    }
+}
+
+impl FromArgMatches for StageCommand {
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let (stage, matches) = matches
+            .subcommand()
+            .and_then(|(name, matches)| {
+                Some((Stage::ALL.into_iter().find(|stage| stage.name() == name)?, matches))
+            })
+            .ok_or_else(|| clap::Error::new(clap::error::ErrorKind::MissingSubcommand))?;
+        let has = |name| matches.try_get_one(name).ok().flatten().copied().unwrap_or(false);
+        let args = PipelineArgs::from_arg_matches(matches)?;
+        Ok(Self { stage, args, strict: has(STRICT), json: has(JSON) })
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
 }
 
 #[derive(Args)]
 struct PipelineArgs {
     /// The pipeline file (TOML)
     pipeline: PathBuf,
-    /// The run folder; it is made if need be
+    /// The run folder; created if missing
     #[arg(long, value_name = "DIR", required_unless_present = "print_config")]
     out: Option<PathBuf>,
-    /// Override a key, such as --set label.positive_radius_m=2
+    /// Override a key, for example --set label.positive_radius_m=2
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
-    /// Print the pipeline with every default written out, and stop
+    /// Print the pipeline with all defaults, and stop
     #[arg(long)]
     print_config: bool,
 }
 
 impl Cli {
-    /// Does what was asked; returns what of the data could not be used.
+    /// Does what was asked. Returns what was left out.
     pub(crate) fn execute(self) -> Result<Dropped> {
-        let always = Mode::Always;
         match self.command {
             Command::Run { args, force, dry_run, strict } => {
-                let force = force
-                    .into_iter()
-                    .filter_map(|stage| Some(stage.to_possible_value()?.get_name().to_owned()))
-                    .collect();
                 let mode = if dry_run { Mode::DryRun { force } } else { Mode::Resume { force } };
                 args.execute(mode, strict, pipeline::run)
             }
-            Command::Simulate(args) => args.execute(always, true, stages::simulate::run),
-            Command::Ingest { args, strict } => args.execute(always, strict, stages::ingest::run),
-            Command::Subsample(args) => args.execute(always, true, stages::subsample::run),
-            Command::Label(args) => args.execute(always, true, stages::label::run),
-            Command::Featurize(args) => args.execute(always, true, stages::featurize::run),
-            Command::Train(args) => args.execute(always, true, stages::train::run),
-            Command::Evaluate { args, json: false } => {
-                args.execute(always, true, stages::evaluate::run)
-            }
-            Command::Evaluate { args, json: true } => {
+            Command::Stage(StageCommand { stage: Stage::Evaluate, args, json: true, .. }) => {
                 args.execute(Mode::Quiet, true, stages::evaluate::run_and_print)
+            }
+            Command::Stage(StageCommand { stage, args, strict, .. }) => {
+                let strict = strict || stage != Stage::Ingest;
+                args.execute(Mode::Always, strict, pipeline::stage(stage))
             }
             Command::Inspect(args) => inspect::inspect(&args),
             Command::Import(args) => args.execute(),
-            Command::Log { artifact } => done(lineage::log(&artifact)),
+            Command::Lineage { artifact } => done(lineage::log(&artifact)),
+            Command::Log { .. } => {
+                Err(usage("`loopboost log` was renamed: use `loopboost lineage`"))
+            }
             Command::Verify { folder, pipeline } => {
                 let config = pipeline.map(|path| Config::load(&path, &[])).transpose()?;
                 done(lineage::verify(&folder, config.as_ref()))
@@ -236,7 +265,7 @@ impl PipelineArgs {
     }
 }
 
-/// For commands that use no data.
+/// For commands that read no logs.
 fn done(result: Result<()>) -> Result<Dropped> {
     result.map(|()| Dropped::default())
 }

@@ -9,7 +9,7 @@ use dataset::tables::{Provenance, digest_file, read_provenance};
 
 use crate::config::Config;
 use crate::logs::file_name;
-use crate::manifest::Manifest;
+use crate::run::Manifest;
 
 /// Prints an artifact's ancestry as a tree, from the provenance that each artifact carries.
 pub(crate) fn log(artifact: &Path) -> Result<()> {

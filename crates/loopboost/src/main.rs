@@ -18,33 +18,35 @@ mod import;
 mod inspect;
 mod lineage;
 mod logs;
-mod manifest;
 mod models;
-mod options;
 mod pipeline;
 mod plot;
 mod run;
+mod stage;
 mod stages;
 
 use std::process::ExitCode;
 
 use clap::Parser;
 
+use dataset::tables::TableError;
+
 use cli::Cli;
 use config::UsageError;
+use stage::Artifact;
 
-/// Exit code: everything that was asked for was done.
+/// Exit code: done, and nothing needs attention.
 const DONE: u8 = 0;
-/// Exit code: it could not be done.
+/// Exit code: failed.
 const FAILED: u8 = 1;
-/// Exit code: the command line or the pipeline file is not understood (clap uses it too).
+/// Exit code: the command line or the pipeline file is wrong (clap uses it too).
 const USAGE: u8 = 2;
-/// Exit code: done, but some of the data could not be used; stderr says how much and why.
-const DONE_WITH_LOSSES: u8 = 3;
+/// Exit code: done, but data was left out or a warning needs attention.
+const NEEDS_ATTENTION: u8 = 3;
 
 /// The only place that turns an outcome into an exit code.
 fn main() -> ExitCode {
-    // `loopboost log X | head` ends quietly, as other programs do.
+    // `loopboost lineage X | head` ends quietly, as other programs do.
     sigpipe::reset();
     let cli = Cli::parse();
     let code = match cli.execute() {
@@ -54,12 +56,22 @@ fn main() -> ExitCode {
             for (reason, n) in dropped.iter() {
                 eprintln!("  {n} {reason}");
             }
-            DONE_WITH_LOSSES
+            NEEDS_ATTENTION
         }
         Err(error) => {
             eprintln!("error: {error:#}");
+            if let Some(hint) = hint(&error) {
+                eprintln!("hint: {hint}");
+            }
             if error.is::<UsageError>() { USAGE } else { FAILED }
         }
     };
     ExitCode::from(code)
+}
+
+/// What to do about an error of a library that does not know the commands.
+fn hint(error: &anyhow::Error) -> Option<String> {
+    let error = error.chain().find_map(|cause| cause.downcast_ref::<TableError>())?;
+    let stage = Artifact::maker_of_path(error.path())?;
+    error.is_cured_by_making_it_again().then(|| format!("make it with `{}`", stage.command()))
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow};
 use dataset::tables::write_file;
 
-use crate::manifest::changes;
+use crate::run::changes;
 
 /// A line for each model below a folder.
 pub(crate) fn list(folder: &Path) -> Result<()> {

@@ -1,4 +1,4 @@
-//! One table file: written whole or not at all, read with its provenance checked.
+//! One table file: written completely or not at all; its provenance is checked when it is read.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -16,11 +16,12 @@ use parquet::basic::{Compression, ZstdLevel};
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::{EnabledStatistics, WriterProperties, WriterPropertiesBuilder};
 
-use super::{FORMAT_VERSION, Provenance, Result, TableError, command_for};
+use super::{FORMAT_VERSION, Provenance, Result, TableError};
 
-/// Writes a file through `fill`, beside its place, and renames it when it is whole and on disk.
+/// Writes a file through `fill` to a temporary file in the same folder, and renames it when it is
+/// complete and on disk.
 ///
-/// After an error, or a crash at any moment, `path` is what it was before.
+/// After an error, or a crash at any moment, `path` is unchanged.
 pub fn write_atomically<T, E: From<TableError>>(
     path: &Path,
     fill: impl FnOnce(BufWriter<File>) -> std::result::Result<(BufWriter<File>, T), E>,
@@ -43,13 +44,13 @@ pub fn write_atomically<T, E: From<TableError>>(
         Ok(value)
     })();
     if written.is_err() {
-        // The error that matters is the first one; a leftover is overwritten by the next run.
+        // Report the first error; the next run overwrites a leftover.
         let _ = fs::remove_file(&partial);
     }
     written
 }
 
-/// Writes a file whole or not at all.
+/// Writes a file completely or not at all.
 pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
     write_atomically(path, |mut file| match file.write_all(bytes) {
         Ok(()) => Ok((file, ())),
@@ -65,7 +66,7 @@ fn partial_path(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// Whether a file is one that [`write_atomically`] had not finished.
+/// Whether a file is one that [`write_atomically`] did not finish.
 pub fn is_partial(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     name.starts_with('.') && name.ends_with(".partial")
@@ -76,9 +77,9 @@ const DIGEST_BLOCK_BYTES: usize = 8 << 20;
 
 /// BLAKE3 digest of a file's bytes, hex.
 pub fn digest_file(path: &Path) -> Result<String> {
-    let io = |source| TableError::Io { action: "read", path: path.to_owned(), source };
+    let io = |source| read_error(path, source);
     let mut hasher = blake3::Hasher::new();
-    // In blocks, so that memory does not grow with the file; each block with all threads.
+    // In blocks: memory must not grow with the file. All threads hash one block.
     let mut file = File::open(path).map_err(io)?;
     let mut block = Vec::with_capacity(DIGEST_BLOCK_BYTES);
     loop {
@@ -92,8 +93,8 @@ pub fn digest_file(path: &Path) -> Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Writer settings common to all tables: zstd, no created-by version that would change the bytes
-/// with the library.
+/// Writer settings of all tables: zstd, and no version of the library, which would change the bytes
+/// with every update.
 pub(super) fn properties(metadata: Vec<KeyValue>) -> WriterPropertiesBuilder {
     WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).expect("1 is a zstd level")))
@@ -111,8 +112,8 @@ pub fn write_table(
 ) -> Result<()> {
     write_atomically(path, |file| {
         let failed = |e: parquet::errors::ParquetError| write_error(path, e);
-        // Without the embedded Arrow schema, which all our types do without, readers in Python show
-        // the provenance as the schema's metadata.
+        // The tables need no embedded Arrow schema. Without it, readers in Python show the
+        // provenance as the metadata of the schema.
         let options = ArrowWriterOptions::new()
             .with_properties(properties(provenance.to_metadata(kind)).build())
             .with_skip_arrow_metadata(true);
@@ -134,38 +135,36 @@ pub(super) fn write_error(path: &Path, error: parquet::errors::ParquetError) -> 
     TableError::Io { action: "write", path: path.to_owned(), source }
 }
 
-pub(super) fn unreadable(path: &Path, kind: &str, error: impl std::fmt::Display) -> TableError {
-    TableError::Unreadable {
-        path: path.to_owned(),
-        detail: error.to_string(),
-        command: command_for(kind),
+pub(super) fn unreadable(path: &Path, error: impl std::fmt::Display) -> TableError {
+    TableError::Unreadable { path: path.to_owned(), detail: error.to_string() }
+}
+
+fn read_error(path: &Path, source: std::io::Error) -> TableError {
+    let path = path.to_owned();
+    match source.kind() {
+        std::io::ErrorKind::NotFound => TableError::Missing { path },
+        _ => TableError::Io { action: "read", path, source },
     }
 }
 
 /// Reads the kind and the provenance of a table of any kind.
 pub fn read_provenance(path: &Path) -> Result<(String, Provenance)> {
-    let io = |source| TableError::Io { action: "read", path: path.to_owned(), source };
-    let file = File::open(path).map_err(io)?;
+    let file = File::open(path).map_err(|source| read_error(path, source))?;
     let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
-        .map_err(|e| unreadable(path, "", e))?;
+        .map_err(|e| unreadable(path, e))?;
     let entries = metadata.metadata().file_metadata().key_value_metadata();
     Provenance::from_entries(|key| entries?.iter().find(|entry| entry.key == key)?.value.clone())
-        .ok_or_else(|| unreadable(path, "", "it carries no provenance of loopboost"))
+        .ok_or_else(|| unreadable(path, "it has no provenance metadata of loopboost"))
 }
 
-/// Opens a table and checks that it is of the kind and the format version that we read.
+/// Opens a table and checks its kind and its format version.
 pub(super) fn open_table(
     path: &Path,
     kind: &'static str,
 ) -> Result<(ParquetRecordBatchReaderBuilder<File>, Provenance)> {
-    let file = File::open(path).map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => {
-            TableError::Missing { path: path.to_owned(), command: command_for(kind) }
-        }
-        _ => TableError::Io { action: "read", path: path.to_owned(), source },
-    })?;
+    let file = File::open(path).map_err(|source| read_error(path, source))?;
     let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
-        .map_err(|e| unreadable(path, kind, e))?;
+        .map_err(|e| unreadable(path, e))?;
     let provenance = {
         let entries = metadata.metadata().file_metadata().key_value_metadata();
         let get = |key: &str| {
@@ -178,7 +177,9 @@ pub(super) fn open_table(
                 return Err(TableError::Kind {
                     path: path.to_owned(),
                     expected: kind,
-                    found: found.map_or("a table from elsewhere".to_owned(), |k| format!("`{k}`")),
+                    found: found.map_or("not a table of loopboost".to_owned(), |k| {
+                        format!("a table of kind `{k}`")
+                    }),
                 });
             }
         }
@@ -189,12 +190,11 @@ pub(super) fn open_table(
                     path: path.to_owned(),
                     found: found.unwrap_or_else(|| "none".to_owned()),
                     expected: FORMAT_VERSION,
-                    command: command_for(kind),
                 });
             }
         }
         Provenance::from_metadata(get)
-            .ok_or_else(|| unreadable(path, kind, "its provenance metadata is incomplete"))?
+            .ok_or_else(|| unreadable(path, "its provenance metadata is incomplete"))?
     };
     Ok((ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata), provenance))
 }
@@ -204,15 +204,14 @@ pub fn read_table(path: &Path, kind: &'static str) -> Result<(RecordBatch, Prove
     let (builder, provenance) = open_table(path, kind)?;
     let schema: SchemaRef = builder.schema().clone();
     let n_rows = usize::try_from(builder.metadata().file_metadata().num_rows()).unwrap_or(0);
-    let reader =
-        builder.with_batch_size(n_rows.max(1)).build().map_err(|e| unreadable(path, kind, e))?;
+    let reader = builder.with_batch_size(n_rows.max(1)).build().map_err(|e| unreadable(path, e))?;
     let mut whole = RecordBatch::new_empty(schema);
     for batch in reader {
-        // The batch size is the table's, so that there is at most one batch.
-        whole = batch.map_err(|e| unreadable(path, kind, e))?;
+        // The batch size is the size of the table: there is at most one batch.
+        whole = batch.map_err(|e| unreadable(path, e))?;
     }
     if whole.num_rows() != n_rows {
-        return Err(unreadable(path, kind, format!("{} of {n_rows} rows", whole.num_rows())));
+        return Err(unreadable(path, format!("{} of {n_rows} rows", whole.num_rows())));
     }
     Ok((whole, provenance))
 }

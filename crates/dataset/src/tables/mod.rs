@@ -1,21 +1,21 @@
-//! The tables of a run folder (Parquet, zstd). DESIGN, "Tables", fixes names and columns.
+//! The tables of a run folder (Parquet, zstd). `docs/tables.md` lists names and columns.
 //!
 //! ```text
 //! <out>/
-//!   scans/<log>.parquet      one planar scan a row           (streamed, see [`scans`])
-//!   poses/<log>.parquet      one pose a row
-//!   keyframes.parquet        a kept scan a row
-//!   pairs.parquet            a labelled pair a row
-//!   features.parquet         a keyframe's features a row
-//!   scores.parquet           a pair under a learner a row: cross-validated confidences
-//!   rounds.parquet           a round of boosting a row
-//!   retrieval.parquet        a learner on all pairs of a log a row
-//!   grid.parquet             a learner under other label rules a row
-//!   evaluation/*.parquet     what `evaluate` measured
+//!   scans/<log>.parquet      one row per planar scan           (streamed, see [`scans`])
+//!   poses/<log>.parquet      one row per pose
+//!   keyframes.parquet        one row per scan that was kept
+//!   pairs.parquet            one row per labelled pair
+//!   features.parquet         one row per keyframe
+//!   scores.parquet           one row per pair and learner: cross-validated confidences
+//!   rounds.parquet           one row per round of boosting
+//!   retrieval.parquet        one row per learner and log: all pairs at their natural prevalence
+//!   grid.parquet             one row per learner and label rule
+//!   evaluation/*.parquet     the measures
 //! ```
 //!
-//! Every table carries its [`Provenance`]. A table is complete or absent: it is written beside
-//! its place and renamed when whole.
+//! Every table carries its [`Provenance`]. A table is complete or absent: it is written to a
+//! temporary file in the same folder and renamed when it is complete.
 
 mod columns;
 mod evidence;
@@ -25,7 +25,7 @@ mod provenance;
 pub mod scans;
 mod scores;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 pub use evidence::{
     grid_batch, read_grid, read_retrieval, retrieval_batch, write_grid, write_retrieval,
@@ -41,61 +41,56 @@ pub use provenance::{FORMAT_VERSION, Provenance};
 pub use scores::{read_rounds, read_scores, write_rounds, write_scores};
 
 /// What can be wrong with a table.
+///
+/// The messages name no remedy: which command makes a table is known to the program, not here.
+/// [`TableError::path`] names the file.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// The file is not there.
-    #[error("{path} is missing; make it with `{command}`")]
+    /// The file does not exist.
+    #[error("{path} does not exist")]
     Missing {
-        /// The table's path.
+        /// The file.
         path: PathBuf,
-        /// The command that makes it.
-        command: String,
     },
-    /// The system refused.
+    /// The operating system reports an error.
     #[error("cannot {action} {path}")]
     Io {
         /// "read", "write", ...
         action: &'static str,
         /// The file.
         path: PathBuf,
-        /// The system's word.
+        /// What the system reports.
         source: std::io::Error,
     },
-    /// The bytes are no Parquet table, or a damaged one.
-    #[error("{path} is not a readable Parquet table: {detail}; make it again with `{command}`")]
+    /// The bytes are not a Parquet table, or the table is damaged.
+    #[error("{path} is not a readable Parquet table: {detail}")]
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// The decoder's word.
+        /// What the decoder reports.
         detail: String,
-        /// The command that makes it.
-        command: String,
     },
-    /// A Parquet file that loopboost did not write, or another of its tables.
-    #[error("{path} holds {found}, expected a loopboost table of kind `{expected}`")]
+    /// A Parquet file that loopboost did not write, or a table of another kind.
+    #[error("{path} is {found}, expected a loopboost table of kind `{expected}`")]
     Kind {
         /// The file.
         path: PathBuf,
-        /// The kind wanted.
+        /// The kind that was expected.
         expected: &'static str,
-        /// What it is.
+        /// What it is instead.
         found: String,
     },
     /// A table of another format version.
-    #[error(
-        "{path} has format version {found}, this program reads version {expected}; make it again with `{command}`"
-    )]
+    #[error("{path} has format version {found}, this program reads version {expected}")]
     Version {
         /// The file.
         path: PathBuf,
         /// The version found.
         found: String,
-        /// The version this program reads.
+        /// The version that this program reads.
         expected: u32,
-        /// The command that makes it.
-        command: String,
     },
-    /// A column is absent, of another type, or has nulls where none may be.
+    /// A column is missing, has another type, or has nulls that are not allowed.
     #[error("{path}: column `{column}`: expected {expected}, found {found}")]
     Column {
         /// The file.
@@ -119,19 +114,25 @@ pub enum TableError {
     },
 }
 
+impl TableError {
+    /// The file.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Missing { path }
+            | Self::Io { path, .. }
+            | Self::Unreadable { path, .. }
+            | Self::Kind { path, .. }
+            | Self::Version { path, .. }
+            | Self::Column { path, .. }
+            | Self::Row { path, .. } => path,
+        }
+    }
+
+    /// Whether the file has to be made again before it can be read.
+    pub fn is_cured_by_making_it_again(&self) -> bool {
+        !matches!(self, Self::Io { .. })
+    }
+}
+
 /// `Result` of this module.
 pub type Result<T> = std::result::Result<T, TableError>;
-
-/// The command that makes a table of a kind; the pipeline file is the reader's own.
-fn command_for(kind: &str) -> String {
-    let stage = match kind {
-        "scans" | "poses" => "ingest",
-        "keyframes" => "subsample",
-        "pairs" => "label",
-        "features" => "featurize",
-        "scores" | "rounds" | "retrieval" | "grid" => "train",
-        "errors" | "summary" | "precision_recall" | "selection" | "mistakes" => "evaluate",
-        _ => "run",
-    };
-    format!("loopboost {stage} PIPELINE.toml --out DIR")
-}

@@ -193,12 +193,7 @@ pub fn read_pairs(path: &Path, keyframes: &[Keyframe]) -> Result<(Vec<Pair>, Pro
             .enumerate()
             .map(|(row, id)| {
                 index.get(id).copied().ok_or_else(|| {
-                    let detail = format!(
-                        "scan {} of log `{}` is no keyframe; make the pairs again with `{}`",
-                        id.scan,
-                        id.log,
-                        super::command_for("pairs")
-                    );
+                    let detail = format!("scan {} of log `{}` is not a keyframe", id.scan, id.log);
                     row_error(row, detail)
                 })
             })

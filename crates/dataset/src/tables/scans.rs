@@ -248,10 +248,10 @@ pub fn read_scan_headers(path: &Path) -> Result<(Vec<ScanHeader>, Provenance)> {
         builder.parquet_schema(),
         ["scan", "stamp_ns", "coverage_deg", "usable"],
     );
-    let reader = builder.with_projection(mask).build().map_err(|e| unreadable(path, "scans", e))?;
+    let reader = builder.with_projection(mask).build().map_err(|e| unreadable(path, e))?;
     let mut headers: Vec<ScanHeader> = Vec::new();
     for batch in reader {
-        let batch = batch.map_err(|e| unreadable(path, "scans", e))?;
+        let batch = batch.map_err(|e| unreadable(path, e))?;
         let columns = Columns::new(path, &batch);
         let scans = columns.numbers::<UInt32Type>("scan")?;
         let stamps = columns.numbers::<Int64Type>("stamp_ns")?;
@@ -291,9 +291,9 @@ pub fn read_scans<E: From<TableError>>(
         .with_row_selection(selection)
         .with_batch_size(SCANS_PER_GROUP)
         .build()
-        .map_err(|e| unreadable(path, "scans", e))?;
+        .map_err(|e| unreadable(path, e))?;
     for batch in reader {
-        let batch = batch.map_err(|e| unreadable(path, "scans", e))?;
+        let batch = batch.map_err(|e| unreadable(path, e))?;
         take(scans_of(path, &batch)?)?;
     }
     Ok(())

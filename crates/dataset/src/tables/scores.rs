@@ -78,7 +78,7 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
     let row_error = |row, detail: &str| TableError::Row {
         path: path.to_owned(),
         row,
-        detail: format!("{detail}; make the scores again with `{}`", super::command_for("scores")),
+        detail: detail.to_owned(),
     };
     if pairs.is_empty() || table.num_rows() % pairs.len() != 0 {
         return Err(row_error(table.num_rows(), "the table does not have a row for each pair"));

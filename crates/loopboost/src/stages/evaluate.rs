@@ -10,33 +10,18 @@ use dataset::{Dropped, Keyframe, Scan};
 use evaluate::{Evaluation, Fact, FeatureRow, Input, Sketches};
 
 use crate::config::Config;
-use crate::run::{Done, Run, Task};
-
-const INPUTS: [&str; 7] = [
-    "keyframes.parquet",
-    "pairs.parquet",
-    "features.parquet",
-    "scores.parquet",
-    "rounds.parquet",
-    "retrieval.parquet",
-    "grid.parquet",
-];
-
-/// The numbers of the report as JSON.
-const JSON: &str = "evaluation/summary.json";
+use crate::run::{Done, Run};
+use crate::stage::{Artifact, Stage};
 
 /// Scores -> evaluation/, report.html
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let mut inputs: Vec<_> = INPUTS.map(|name| run.path(name)).into();
-    inputs.extend(run.ingested_logs()?.iter().map(|log| run.scans(&log.name)));
-    let task = Task { stage: "evaluate", log: None, inputs };
-    run.task(&task, |provenance| evaluate(run, &provenance))
+    run.task(&run.task_of(Stage::Evaluate)?, |provenance| evaluate(run, &provenance))
 }
 
 /// As [`run`], and then prints the numbers.
 pub(crate) fn run_and_print(run: &Run) -> Result<Dropped> {
     let dropped = self::run(run)?;
-    let path = run.path(JSON);
+    let path = run.path_of(Artifact::Summary);
     let text = std::fs::read_to_string(&path)
         .with_context(|| format!("cannot read {}", path.display()))?;
     out!("{}", text.trim_end());
@@ -44,16 +29,14 @@ pub(crate) fn run_and_print(run: &Run) -> Result<Dropped> {
 }
 
 fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
-    let [keyframes, pairs, features, scores, rounds, retrieval, grid] =
-        INPUTS.map(|name| run.path(name));
-    let (keyframes, of_keyframes) = read_keyframes(&keyframes)?;
-    let (pairs, _) = read_pairs(&pairs, &keyframes)?;
-    let (features, _) = read_features(&features)?;
-    let (scores, of_scores) = read_scores(&scores, &pairs)?;
+    let (keyframes, of_keyframes) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
+    let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
+    let (features, _) = read_features(&run.path_of(Artifact::Features))?;
+    let (scores, of_scores) = read_scores(&run.path_of(Artifact::Scores), &pairs)?;
     let left_out: Vec<String> = of_scores.dropped.iter().map(|(why, _)| why.to_owned()).collect();
-    let (rounds, _) = read_rounds(&rounds)?;
-    let (retrieval, _) = read_retrieval(&retrieval)?;
-    let (grid, _) = read_grid(&grid)?;
+    let (rounds, _) = read_rounds(&run.path_of(Artifact::Rounds))?;
+    let (retrieval, _) = read_retrieval(&run.path_of(Artifact::Retrieval))?;
+    let (grid, _) = read_grid(&run.path_of(Artifact::Grid))?;
     let mut dropped = of_keyframes.dropped;
     let mut facts = Vec::new();
     for log in run.ingested_logs()? {
@@ -91,9 +74,9 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let json = evaluate::json(name, &input, &evaluation);
     let mut json = serde_json::to_string_pretty(&json)?;
     json.push('\n');
-    write_file(&run.path(JSON), json.as_bytes())?;
-    done.outputs.push(run.path(JSON));
-    let path = run.path("report.html");
+    write_file(&run.path_of(Artifact::Summary), json.as_bytes())?;
+    done.outputs.push(run.path_of(Artifact::Summary));
+    let path = run.path_of(Artifact::Report);
     let drawn = (&sketches, &figures[..]);
     let html = evaluate::report(name, &input, &evaluation, drawn, &facts, provenance);
     write_file(&path, html.as_bytes())?;

@@ -5,22 +5,17 @@ use dataset::{Dropped, Keyframe};
 use featurize::Featurizer;
 use rayon::prelude::*;
 
-use crate::run::{Done, Run, Task};
+use crate::run::{Done, Run};
+use crate::stage::{Artifact, Stage};
 
 /// Keyframes -> features.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let scans = run.ingested_logs()?.into_iter().map(|log| run.scans(&log.name));
-    let task = Task {
-        stage: "featurize",
-        log: None,
-        inputs: [run.path("keyframes.parquet")].into_iter().chain(scans).collect(),
-    };
-    run.task(&task, |provenance| featurize(run, &provenance))
+    run.task(&run.task_of(Stage::Featurize)?, |provenance| featurize(run, &provenance))
 }
 
 fn featurize(run: &Run, provenance: &Provenance) -> Result<Done> {
     let options = &run.config.featurize;
-    let (keyframes, _) = read_keyframes(&run.path("keyframes.parquet"))?;
+    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
     check_one_kind_of_scan(&keyframes)?;
     let names = options.set.feature_names();
     let mut values = vec![0.0; keyframes.len() * names.len()];
@@ -58,7 +53,7 @@ fn featurize(run: &Run, provenance: &Provenance) -> Result<Done> {
         ids: keyframes.iter().map(|k| k.id.clone()).collect(),
         values,
     };
-    let path = run.path("features.parquet");
+    let path = run.path_of(Artifact::Features);
     write_features(&path, provenance, &table)?;
     let said = format!(
         "{} features ({}) of {} keyframes",

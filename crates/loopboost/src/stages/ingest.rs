@@ -6,7 +6,8 @@ use ingest::{IngestError, Log, Options, PoseOptions};
 
 use crate::config::{LogOptions, usage};
 use crate::logs::{LogFile, file_name};
-use crate::run::{Done, Run, Task, progress_bar};
+use crate::run::{Done, Run, Task, missing_log, progress_bar};
+use crate::stage::Stage;
 
 /// Logs -> scans/LOG.parquet, poses/LOG.parquet
 ///
@@ -19,10 +20,7 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
     check_frames(run, logs)?;
     for log in logs {
         if let Some(missing) = log.paths.iter().find(|path| !path.exists()) {
-            let error = anyhow!(
-                "{} does not exist (paths in `ingest.logs` are relative to the pipeline file)",
-                missing.display()
-            );
+            let error = missing_log(missing);
             if run.strict {
                 return Err(error);
             }
@@ -32,7 +30,8 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
                 continue;
             }
         }
-        let task = Task { stage: "ingest", log: Some(log.name.clone()), inputs: log.paths.clone() };
+        let task =
+            Task { stage: Stage::Ingest, log: Some(log.name.clone()), inputs: log.paths.clone() };
         match run.task(&task, |provenance| ingest_log(run, log, provenance)) {
             Ok(of_log) => {
                 run.set_failed(&log.name, None)?;

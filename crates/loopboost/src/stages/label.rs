@@ -2,18 +2,18 @@ use anyhow::Result;
 use dataset::Dropped;
 use dataset::tables::{Provenance, read_keyframes, write_pairs};
 
-use crate::run::{Done, Run, Task};
+use crate::run::{Done, Run};
+use crate::stage::{Artifact, Stage};
 
 /// Keyframes -> pairs.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let task = Task { stage: "label", log: None, inputs: vec![run.path("keyframes.parquet")] };
-    run.task(&task, |provenance| label(run, &provenance))
+    run.task(&run.task_of(Stage::Label)?, |provenance| label(run, &provenance))
 }
 
 fn label(run: &Run, provenance: &Provenance) -> Result<Done> {
-    let (keyframes, _) = read_keyframes(&run.path("keyframes.parquet"))?;
+    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
     let (pairs, candidates) = label::label(&run.config.label, run.config.seed, &keyframes)?;
-    let path = run.path("pairs.parquet");
+    let path = run.path_of(Artifact::Pairs);
     write_pairs(&path, provenance, &keyframes, &pairs)?;
     let n = run.config.label.pairs_per_class;
     let said = format!(

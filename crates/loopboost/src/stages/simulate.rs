@@ -8,6 +8,7 @@ use dataset::tables::{TableError, write_atomically};
 use simulate::{Campus, Map};
 
 use crate::run::{Done, Run, Task, progress_bar};
+use crate::stage::{Artifact, Stage};
 
 /// The campus of `[simulate]` -> logs/LOG.mcap
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
@@ -27,8 +28,11 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let campus = campus.context("[simulate]")?;
     let progress = progress_bar(options.logs.len() as u64, "simulate".into(), false);
     for (k, name) in options.logs.iter().enumerate() {
-        let task =
-            Task { stage: "simulate", log: Some(Arc::from(name.as_str())), inputs: inputs.clone() };
+        let task = Task {
+            stage: Stage::Simulate,
+            log: Some(Arc::from(name.as_str())),
+            inputs: inputs.clone(),
+        };
         run.task(&task, |_| drive(run, &campus, k, name))?;
         progress.inc(1);
     }
@@ -37,7 +41,7 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
 }
 
 fn drive(run: &Run, campus: &Campus, k: usize, name: &str) -> Result<Done> {
-    let paths = run.simulated_log(name);
+    let paths = run.paths_of(Artifact::Log, Some(name));
     let (mut turns, mut packets, mut length_m, mut duration_s) = (0, 0, 0.0, 0.0);
     for (file, path) in paths.iter().enumerate() {
         let summary = write_atomically(path, |mut out: BufWriter<File>| {

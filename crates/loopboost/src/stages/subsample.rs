@@ -7,18 +7,13 @@ use dataset::tables::{Provenance, read_poses, write_keyframes};
 use subsample::Candidate;
 
 use crate::logs::LogFile;
-use crate::options::sites;
-use crate::run::{Done, Run, Task};
+use crate::run::{Done, Run};
+use crate::stage::{Artifact, Stage, sites};
 
 /// Scans and poses -> keyframes.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     let logs = run.ingested_logs()?;
-    let task = Task {
-        stage: "subsample",
-        log: None,
-        inputs: logs.iter().flat_map(|log| [run.scans(&log.name), run.poses(&log.name)]).collect(),
-    };
-    run.task(&task, |provenance| subsample(run, &logs, provenance))
+    run.task(&run.task_of(Stage::Subsample)?, |provenance| subsample(run, &logs, provenance))
 }
 
 fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done> {
@@ -56,7 +51,7 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
         keyframes.extend(of_log);
         done.dropped.merge(dropped);
     }
-    let path = run.path("keyframes.parquet");
+    let path = run.path_of(Artifact::Keyframes);
     write_keyframes(
         &path,
         &Provenance { dropped: done.dropped.clone(), ..provenance },

@@ -16,7 +16,8 @@ use rayon::prelude::*;
 use train::{FoldFit, Folded, Learner, Matrix, Round};
 
 use crate::config::EvaluateSection;
-use crate::run::{Done, Run, Task};
+use crate::run::{Done, Run};
+use crate::stage::{Artifact, Stage};
 
 /// All options that the models depend on or carry.
 struct Options<'a> {
@@ -40,17 +41,13 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
         featurize: &config.featurize,
         lidars: lidars.collect::<Result<_>>()?,
     };
-    let task = Task { stage: "train", log: None, inputs: INPUTS.map(|name| run.path(name)).into() };
-    run.task(&task, |provenance| train(run, &options, &provenance))
+    run.task(&run.task_of(Stage::Train)?, |provenance| train(run, &options, &provenance))
 }
 
-const INPUTS: [&str; 3] = ["keyframes.parquet", "pairs.parquet", "features.parquet"];
-
 fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Done> {
-    let [keyframes, pairs, features] = INPUTS.map(|name| run.path(name));
-    let (keyframes, _) = read_keyframes(&keyframes)?;
-    let (pairs, _) = read_pairs(&pairs, &keyframes)?;
-    let (features, _) = read_features(&features)?;
+    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
+    let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
+    let (features, _) = read_features(&run.path_of(Artifact::Features))?;
     check_features(options.featurize, &keyframes, &features)?;
     let data = matrix(&pairs, &features);
     let mut fitted: Vec<Fitted> = options
@@ -85,17 +82,15 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
     let scores: Vec<Scores> = fitted.iter().flat_map(|f| f.scores.iter().cloned()).collect();
     let rounds: Vec<BoostingRound> = fitted.iter().flat_map(|f| f.boosting_rounds(names)).collect();
     let mut done = Done {
-        outputs: ["scores.parquet", "rounds.parquet", "retrieval.parquet", "grid.parquet"]
-            .map(|name| run.path(name))
-            .into(),
+        outputs: Stage::Train.spec().outputs.iter().map(|&made| run.path_of(made)).collect(),
         said,
         ..Done::default()
     };
     let of_scores = Provenance { dropped: left_out, ..provenance.clone() };
-    write_scores(&done.outputs[0], &of_scores, &keyframes, &pairs, &scores)?;
-    write_rounds(&done.outputs[1], provenance, &rounds)?;
-    write_retrieval(&done.outputs[2], provenance, &retrieval)?;
-    write_grid(&done.outputs[3], provenance, &cells)?;
+    write_scores(&run.path_of(Artifact::Scores), &of_scores, &keyframes, &pairs, &scores)?;
+    write_rounds(&run.path_of(Artifact::Rounds), provenance, &rounds)?;
+    write_retrieval(&run.path_of(Artifact::Retrieval), provenance, &retrieval)?;
+    write_grid(&run.path_of(Artifact::Grid), provenance, &cells)?;
 
     let context = Context {
         seed: run.config.seed,

@@ -1,7 +1,7 @@
-//! `run.json`: what each task of a run was made from and what it made, so that the next run redoes
-//! only what has changed.
+//! `run.json`: what each task of a run was made from and what it made. The next run repeats only
+//! what has changed.
 //!
-//! It holds no times and no paths outside the run folder: the same run gives the same bytes.
+//! It contains no times and no paths outside the run folder: the same run gives the same bytes.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -11,8 +11,8 @@ use dataset::Dropped;
 use dataset::tables::{Provenance, write_file};
 use serde::{Deserialize, Serialize};
 
-/// Version of the layout of `run.json`; a file of another version is not read, and everything is
-/// done again.
+/// Version of the layout of `run.json`. A file of another version is not read, and every stage runs
+/// again.
 const FORMAT_VERSION: u32 = 2;
 
 /// The tasks of a run folder, by name ("ingest monday", "label").
@@ -25,7 +25,7 @@ pub(crate) struct Manifest {
     pub(crate) tasks: BTreeMap<String, Record>,
 }
 
-/// A task as it was done.
+/// A task that was done.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Record {
@@ -34,10 +34,10 @@ pub(crate) struct Record {
     pub(crate) options: serde_json::Value,
     /// Names and digests of what it read.
     pub(crate) inputs: BTreeMap<String, String>,
-    /// Names and digests of what it made.
+    /// Names and digests of what it wrote.
     pub(crate) outputs: BTreeMap<String, String>,
     pub(crate) dropped: Dropped,
-    /// What it said on stdout.
+    /// What it printed on stdout.
     pub(crate) said: Vec<String>,
 }
 
@@ -46,24 +46,24 @@ impl Manifest {
         folder.join("run.json")
     }
 
-    /// Reads a run folder's manifest; an absent, damaged or foreign one is empty, so that
-    /// everything is done again.
-    pub(crate) fn load(folder: &Path) -> Self {
+    /// Reads the manifest of a run folder. A missing or damaged one, and one of another version,
+    /// counts as empty: every stage runs again.
+    pub(super) fn load(folder: &Path) -> Self {
         Self::load_existing(folder).unwrap_or_default()
     }
 
-    /// Reads a run folder's manifest, or says why it cannot.
+    /// Reads the manifest of a run folder.
     pub(crate) fn load_existing(folder: &Path) -> Result<Self> {
         let path = Self::path(folder);
         let text = std::fs::read(&path).map_err(|e| {
-            anyhow!("{} is no run folder: cannot read run.json: {e}", folder.display())
+            anyhow!("{} is not a run folder: cannot read run.json: {e}", folder.display())
         })?;
         let manifest: Self = serde_json::from_slice(&text).map_err(|e| {
-            anyhow!("{} is damaged: {e}; `loopboost run` makes it anew", path.display())
+            anyhow!("{} is damaged: {e}; `loopboost run` writes a new one", path.display())
         })?;
         if manifest.format_version != FORMAT_VERSION {
             return Err(anyhow!(
-                "{} has format version {}, this program reads version {FORMAT_VERSION}; `loopboost run` makes it anew",
+                "{} has format version {}, this program reads version {FORMAT_VERSION}; `loopboost run` writes a new one",
                 path.display(),
                 manifest.format_version
             ));
@@ -71,7 +71,7 @@ impl Manifest {
         Ok(manifest)
     }
 
-    pub(crate) fn save(&mut self, folder: &Path) -> Result<()> {
+    pub(super) fn save(&mut self, folder: &Path) -> Result<()> {
         self.format_version = FORMAT_VERSION;
         let mut json = serde_json::to_string_pretty(self)?;
         json.push('\n');
@@ -81,16 +81,15 @@ impl Manifest {
 }
 
 impl Record {
-    /// What differs between the task as it was done and as it is asked for now, by what a reader
-    /// would call it; nothing where it need not be done again.
+    /// What differs between the task as it was done and as it is asked for now: program, seed,
+    /// options and inputs. Empty if nothing differs.
     pub(crate) fn changes(&self, now: &Provenance) -> Vec<String> {
         let mut changes = Vec::new();
         if self.program_version != now.program_version {
-            changes
-                .push(format!("program {} is now {}", self.program_version, now.program_version));
+            changes.push(format!("program: {} -> {}", self.program_version, now.program_version));
         }
         if self.seed != now.seed {
-            changes.push(format!("seed {} is now {}", self.seed, now.seed));
+            changes.push(format!("seed: {} -> {}", self.seed, now.seed));
         }
         option_changes("", &self.options, &now.options, &mut changes);
         for (name, digest) in &now.inputs {
@@ -107,7 +106,7 @@ impl Record {
     }
 }
 
-/// What differs between two JSON values, a line for each key.
+/// What differs between two JSON values, one entry per key.
 pub(crate) fn changes(before: &serde_json::Value, now: &serde_json::Value) -> Vec<String> {
     let mut changes = Vec::new();
     option_changes("", before, now, &mut changes);
@@ -139,7 +138,7 @@ fn option_changes(
                 option_changes(&format!("{key}[{k}]"), &value(before), &value(now), changes);
             }
         }
-        (before, now) if before != now => changes.push(format!("{key} {before} is now {now}")),
+        (before, now) if before != now => changes.push(format!("{key}: {before} -> {now}")),
         _ => {}
     }
 }

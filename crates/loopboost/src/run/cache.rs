@@ -1,0 +1,112 @@
+//! What a task was made from, and whether that still holds.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::{Result, anyhow};
+use dataset::tables::{Provenance, TableError, digest_file, read_provenance};
+
+use super::manifest::{Record, changes};
+use super::{Run, Task};
+use crate::stage::{Artifact, Scope, Stage};
+
+impl Run {
+    /// What a task would be made from now.
+    pub(super) fn provenance(&self, task: &Task) -> Result<Provenance> {
+        let inputs = task
+            .inputs
+            .iter()
+            .map(|path| Ok((self.folder.name_of(path), self.digest(path)?)))
+            .collect::<Result<BTreeMap<_, _>>>()?;
+        Ok(Provenance {
+            program_version: env!("CARGO_PKG_VERSION").to_owned(),
+            seed: self.config.seed,
+            options: self.options_of(task.stage, task.log.as_deref())?,
+            inputs,
+            ..Provenance::default()
+        })
+    }
+
+    fn options_of(&self, stage: Stage, log: Option<&str>) -> Result<serde_json::Value> {
+        let logs = self.ingested_logs()?;
+        let logs: Vec<&str> = logs.iter().map(|log| &*log.name).collect();
+        (stage.spec().options)(&self.config, &Scope { log, logs: &logs })
+    }
+
+    /// What differs between a task as it was done and as it is asked for now; nothing if its
+    /// results can be kept.
+    pub(super) fn changes_since(&self, record: &Record, now: &Provenance) -> Vec<String> {
+        let mut changes = record.changes(now);
+        changes.extend(record.outputs.iter().filter_map(|(name, digest)| {
+            match self.digest(&self.path(name)) {
+                Ok(found) if found == *digest => None,
+                Ok(_) => Some(format!("{name} was altered")),
+                Err(_) => Some(format!("{name} is missing")),
+            }
+        }));
+        changes
+    }
+
+    /// Refuses a table of the run folder that was made with other options, or from other files
+    /// than those in the folder now; and the same for everything it was made from. Otherwise a
+    /// stage run by its own command would store options in a model that its data were not made
+    /// with.
+    pub(super) fn check_fresh(&self, path: &Path) -> Result<()> {
+        let name = self.folder.name_of(path);
+        let Some((artifact, log)) = Artifact::of_name(&name) else { return Ok(()) };
+        let Some(stage) = artifact.maker() else { return Ok(()) };
+        if stage == Stage::Simulate || !self.fresh.borrow_mut().insert(path.to_owned()) {
+            return Ok(());
+        }
+        let (_, made) = read_provenance(path)?;
+        let mut stale = changes(&made.options, &self.options_of(stage, log)?);
+        if made.seed != self.config.seed {
+            stale.push(format!("seed: {} -> {}", made.seed, self.config.seed));
+        }
+        for (input, digest) in &made.inputs {
+            let path = self.path(input);
+            if path.exists() && self.digest(&path)? != *digest {
+                stale.push(format!("{input} has changed"));
+            }
+        }
+        if !stale.is_empty() {
+            return Err(anyhow!(
+                "{} was not made with this pipeline: {}; run `{}` again, or `loopboost run`, which repeats every stage that needs it",
+                path.display(),
+                stale.join(", "),
+                stage.command()
+            ));
+        }
+        made.inputs
+            .keys()
+            .map(|input| self.path(input))
+            .filter(|path| path.exists())
+            .try_for_each(|path| self.check_fresh(&path))
+    }
+
+    /// BLAKE3 digest of a file. Each file is read once in a run.
+    pub(crate) fn digest(&self, path: &Path) -> Result<String> {
+        if let Some(known) = self.digests.borrow().get(path) {
+            return Ok(known.clone());
+        }
+        let digest = digest_file(path).map_err(|error| explain_missing_log(path, error))?;
+        self.digests.borrow_mut().insert(path.to_owned(), digest.clone());
+        Ok(digest)
+    }
+}
+
+/// Names the option where a missing file is a log.
+fn explain_missing_log(path: &Path, error: TableError) -> anyhow::Error {
+    match error {
+        TableError::Missing { .. } if Artifact::maker_of_path(path).is_none() => missing_log(path),
+        error => error.into(),
+    }
+}
+
+/// A log that the pipeline names and that does not exist.
+pub(crate) fn missing_log(path: &Path) -> anyhow::Error {
+    anyhow!(
+        "{} does not exist (paths in `ingest.logs` are relative to the pipeline file)",
+        path.display()
+    )
+}

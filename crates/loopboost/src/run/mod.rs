@@ -1,0 +1,295 @@
+//! A run: a pipeline file, a run folder, and the tasks that make its artifacts.
+
+mod cache;
+mod folder;
+mod manifest;
+mod plan;
+mod progress;
+
+use std::cell::{OnceCell, RefCell};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::{Result, anyhow};
+use dataset::Dropped;
+use dataset::tables::Provenance;
+
+use crate::config::{Config, usage};
+use crate::logs::LogFile;
+use crate::stage::{Artifact, Stage};
+
+pub(crate) use cache::missing_log;
+pub(crate) use manifest::{Manifest, changes};
+pub(crate) use progress::progress_bar;
+
+use folder::RunFolder;
+use manifest::Record;
+
+/// A pipeline file and the folder for its artifacts.
+pub(crate) struct Run {
+    pub(crate) config: Config,
+    folder: RunFolder,
+    mode: Mode,
+    /// A log that cannot be ingested ends the run.
+    pub(crate) strict: bool,
+    logs: OnceCell<Vec<LogFile>>,
+    manifest: RefCell<Manifest>,
+    /// Digests of files that this process has read and that have not changed since.
+    digests: RefCell<BTreeMap<PathBuf, String>>,
+    /// Tables that were made with this pipeline.
+    fresh: RefCell<BTreeSet<PathBuf>>,
+    /// In a dry run: files that would be made again.
+    would_change: RefCell<BTreeSet<PathBuf>>,
+}
+
+/// Which tasks run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Mode {
+    /// Those whose inputs, options or outputs have changed, and those of the forced stages.
+    Resume {
+        /// Stages that run in any case.
+        force: Vec<Stage>,
+    },
+    /// None. Prints what would run.
+    DryRun {
+        /// Stages that would run in any case.
+        force: Vec<Stage>,
+    },
+    /// All: a stage was asked for by its own command.
+    Always,
+    /// All, without a summary on stdout, which the command prints to itself.
+    Quiet,
+}
+
+/// A piece of work that is done completely or not at all.
+pub(crate) struct Task {
+    pub(crate) stage: Stage,
+    /// The log, for a stage that works log by log.
+    pub(crate) log: Option<Arc<str>>,
+    pub(crate) inputs: Vec<PathBuf>,
+}
+
+/// What a task made.
+#[derive(Default)]
+pub(crate) struct Done {
+    pub(crate) outputs: Vec<PathBuf>,
+    pub(crate) dropped: Dropped,
+    pub(crate) said: Vec<String>,
+}
+
+impl Run {
+    /// Opens a run folder, and locks it unless the run is dry.
+    pub(crate) fn new(config: Config, folder: PathBuf, mode: Mode, strict: bool) -> Result<Self> {
+        let folder = match mode {
+            Mode::DryRun { .. } => RunFolder::read_only(folder),
+            _ => RunFolder::lock(folder)?,
+        };
+        Ok(Self {
+            config,
+            manifest: RefCell::new(Manifest::load(&folder.root)),
+            digests: RefCell::default(),
+            fresh: RefCell::default(),
+            would_change: RefCell::default(),
+            folder,
+            mode,
+            strict,
+            logs: OnceCell::new(),
+        })
+    }
+
+    /// A path in the run folder.
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.folder.path(name)
+    }
+
+    /// The path of an artifact that is made once for all logs.
+    pub(crate) fn path_of(&self, artifact: Artifact) -> PathBuf {
+        debug_assert!(!artifact.is_per_log(), "{artifact:?} is made for each log");
+        self.path(artifact.pattern())
+    }
+
+    /// The path of an artifact that is made for each log.
+    pub(crate) fn path_of_log(&self, artifact: Artifact, log: &str) -> PathBuf {
+        debug_assert!(artifact.is_per_log(), "{artifact:?} is made once");
+        self.path(&artifact.name(log))
+    }
+
+    pub(crate) fn scans(&self, log: &str) -> PathBuf {
+        self.path_of_log(Artifact::Scans, log)
+    }
+
+    pub(crate) fn poses(&self, log: &str) -> PathBuf {
+        self.path_of_log(Artifact::Poses, log)
+    }
+
+    /// All paths of an artifact of one log, or of all logs.
+    pub(crate) fn paths_of(&self, artifact: Artifact, log: Option<&str>) -> Vec<PathBuf> {
+        match (artifact, log) {
+            (Artifact::Log, Some(log)) => {
+                let n_files = self.config.simulate.as_ref().map_or(1, |options| options.files);
+                self.folder.simulated_log(log, n_files)
+            }
+            (_, log) => vec![self.path(&artifact.name(log.unwrap_or_default()))],
+        }
+    }
+
+    /// The task of a stage that works on all logs at once. It reads what the stage reads.
+    pub(crate) fn task_of(&self, stage: Stage) -> Result<Task> {
+        let mut inputs = Vec::new();
+        for &artifact in stage.spec().inputs {
+            if artifact.is_per_log() {
+                let logs = self.ingested_logs()?;
+                inputs.extend(logs.iter().map(|log| self.path_of_log(artifact, &log.name)));
+            } else {
+                inputs.push(self.path_of(artifact));
+            }
+        }
+        Ok(Task { stage, log: None, inputs })
+    }
+
+    /// The run's logs: the simulated ones, then those of `ingest.logs`.
+    pub(crate) fn logs(&self) -> Result<&[LogFile]> {
+        if let Some(logs) = self.logs.get() {
+            return Ok(logs);
+        }
+        let simulated = self.config.simulate.iter().flat_map(|s| &s.logs);
+        let mut logs: Vec<LogFile> = simulated
+            .map(|name| LogFile {
+                name: name.as_str().into(),
+                paths: self.paths_of(Artifact::Log, Some(name)),
+                missing: Vec::new(),
+            })
+            .collect();
+        logs.extend(self.config.log_files()?);
+        if logs.is_empty() {
+            return Err(usage(
+                "`ingest.logs` is empty: name the logs, or add a [simulate] section",
+            ));
+        }
+        let mut seen = BTreeSet::new();
+        for log in &logs {
+            if !seen.insert(&log.name) {
+                return Err(anyhow!(
+                    "two logs are named `{}`, the second is {}; a log is named by its file stem (or by its folder, where a drive was split), which must be unique in a run: rename one",
+                    log.name,
+                    log.paths[0].display()
+                ));
+            }
+        }
+        if self.config.evaluate.groupings.contains(&label::Grouping::Log) && logs.len() < 2 {
+            return Err(usage(
+                "`evaluate.groupings` has `log`, which holds a log out, but there is 1 log: add logs, or leave `log` out",
+            ));
+        }
+        let is_log = |name: &&String| seen.iter().any(|log| ***log == ***name);
+        if let Some(stray) = self.config.ingest.log.keys().find(|name| !is_log(name)) {
+            return Err(usage(format!(
+                "[ingest.log.{stray}]: no log of this run is named `{stray}`"
+            )));
+        }
+        Ok(self.logs.get_or_init(|| logs))
+    }
+
+    /// The run's logs without those that could not be ingested.
+    pub(crate) fn ingested_logs(&self) -> Result<Vec<LogFile>> {
+        let manifest = self.manifest.borrow();
+        let failed = |log: &&LogFile| manifest.failed.contains_key(&*log.name);
+        Ok(self.logs()?.iter().filter(|log| !failed(log)).cloned().collect())
+    }
+
+    /// Whether the run only prints what would run.
+    pub(crate) fn is_dry(&self) -> bool {
+        matches!(self.mode, Mode::DryRun { .. })
+    }
+
+    /// Records whether a log could be ingested, for the stages that follow.
+    pub(crate) fn set_failed(&self, log: &str, reason: Option<String>) -> Result<()> {
+        let mut manifest = self.manifest.borrow_mut();
+        if self.is_dry() || manifest.failed.get(log) == reason.as_ref() {
+            return Ok(());
+        }
+        match reason {
+            Some(reason) => {
+                manifest.tasks.remove(&format!("{} {log}", Stage::Ingest));
+                manifest.failed.insert(log.to_owned(), reason);
+            }
+            None => {
+                manifest.failed.remove(log);
+            }
+        }
+        manifest.save(&self.folder.root)
+    }
+
+    /// Does a task, unless it was done with the same inputs and options and its outputs are
+    /// unaltered. Returns what was left out, now or then.
+    pub(crate) fn task(
+        &self,
+        task: &Task,
+        work: impl FnOnce(Provenance) -> Result<Done>,
+    ) -> Result<Dropped> {
+        let name = match &task.log {
+            Some(log) => format!("{} {log}", task.stage),
+            None => task.stage.to_string(),
+        };
+        let record = self.manifest.borrow().tasks.get(&name).cloned();
+        if let Mode::DryRun { force } = &self.mode {
+            self.plan(&name, task, record.as_ref(), force.contains(&task.stage))?;
+            return Ok(Dropped::default());
+        }
+        let provenance = self.provenance(task)?;
+        if let (Mode::Resume { force }, Some(record)) = (&self.mode, record)
+            && !force.contains(&task.stage)
+            && self.changes_since(&record, &provenance).is_empty()
+        {
+            for line in &record.said {
+                self.say(task.stage, format!("{line} (unchanged)"));
+            }
+            return Ok(record.dropped);
+        }
+        for input in &task.inputs {
+            self.check_fresh(input)?;
+        }
+        let done = work(provenance.clone())?;
+        self.record(name, task.stage, done, provenance)
+    }
+
+    /// Stores in `run.json` what a task was made from and what it made.
+    fn record(
+        &self,
+        name: String,
+        stage: Stage,
+        done: Done,
+        provenance: Provenance,
+    ) -> Result<Dropped> {
+        let mut outputs = BTreeMap::new();
+        for path in &done.outputs {
+            self.digests.borrow_mut().remove(path);
+            self.fresh.borrow_mut().remove(path);
+            outputs.insert(self.folder.name_of(path), self.digest(path)?);
+        }
+        for line in &done.said {
+            self.say(stage, line);
+        }
+        let record = Record {
+            program_version: provenance.program_version,
+            seed: provenance.seed,
+            options: provenance.options,
+            inputs: provenance.inputs,
+            outputs,
+            dropped: done.dropped.clone(),
+            said: done.said,
+        };
+        let mut manifest = self.manifest.borrow_mut();
+        manifest.tasks.insert(name, record);
+        manifest.save(&self.folder.root)?;
+        Ok(done.dropped)
+    }
+
+    /// Prints a result on stdout.
+    pub(crate) fn say(&self, stage: Stage, what: impl std::fmt::Display) {
+        if self.mode != Mode::Quiet {
+            out!("{stage:<10} {what}");
+        }
+    }
+}

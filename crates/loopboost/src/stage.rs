@@ -1,0 +1,332 @@
+//! The stages of a run and the artifacts they make, each written down once.
+//!
+//! A stage is a verb, a crate, a command and a section of the pipeline file. [`Stage::spec`] says
+//! what it reads, what it writes and which options its results depend on; its file in
+//! [`crate::stages`] does the work, and [`crate::pipeline`] calls it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use anyhow::Result;
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
+use serde_json::{Value, json, to_value};
+
+use crate::config::{Config, LogOptions};
+
+/// A step from the logs to the report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Stage {
+    Simulate,
+    Ingest,
+    Subsample,
+    Label,
+    Featurize,
+    Train,
+    Evaluate,
+}
+
+/// What a stage is.
+pub(crate) struct Spec {
+    /// Name of the stage, its command, and its section of the pipeline file.
+    pub(crate) name: &'static str,
+    /// One line of help.
+    pub(crate) help: &'static str,
+    /// What it reads in the run folder.
+    pub(crate) inputs: &'static [Artifact],
+    /// What it writes to the run folder, besides models, figures and evaluation tables.
+    pub(crate) outputs: &'static [Artifact],
+    /// The options that its results depend on. They are stored with the results, and the stage
+    /// runs again when they change.
+    pub(crate) options: fn(&Config, &Scope<'_>) -> Result<Value>,
+}
+
+/// What options are asked for.
+pub(crate) struct Scope<'a> {
+    /// The log, for a stage that works log by log.
+    pub(crate) log: Option<&'a str>,
+    /// The logs of the run.
+    pub(crate) logs: &'a [&'a str],
+}
+
+impl Stage {
+    /// All stages, in the order of a run.
+    pub(crate) const ALL: [Self; 7] = [
+        Self::Simulate,
+        Self::Ingest,
+        Self::Subsample,
+        Self::Label,
+        Self::Featurize,
+        Self::Train,
+        Self::Evaluate,
+    ];
+
+    /// What this stage is.
+    pub(crate) fn spec(self) -> Spec {
+        use Artifact as A;
+        match self {
+            Self::Simulate => Spec {
+                name: "simulate",
+                help: "Simulate the drives of the [simulate] section: -> logs/LOG.mcap",
+                inputs: &[],
+                outputs: &[A::Log],
+                options: |config, _| Ok(to_value(&config.simulate)?),
+            },
+            Self::Ingest => Spec {
+                name: "ingest",
+                help: "Read the logs: -> scans/LOG.parquet, poses/LOG.parquet",
+                inputs: &[A::Log],
+                outputs: &[A::Scans, A::Poses],
+                // The site is an option of `subsample`.
+                options: |config, scope| {
+                    let log = scope.log.unwrap_or_default();
+                    Ok(to_value(LogOptions { site: None, ..config.for_log(log)? })?)
+                },
+            },
+            Self::Subsample => Spec {
+                name: "subsample",
+                help: "Keep a scan every half metre: scans, poses -> keyframes.parquet",
+                inputs: &[A::Scans, A::Poses],
+                outputs: &[A::Keyframes],
+                options: |config, scope| {
+                    let mut value = to_value(&config.subsample)?;
+                    value["sites"] = to_value(sites(config, scope.logs)?)?;
+                    Ok(value)
+                },
+            },
+            Self::Label => Spec {
+                name: "label",
+                help: "Label pairs of keyframes: keyframes -> pairs.parquet",
+                inputs: &[A::Keyframes],
+                outputs: &[A::Pairs],
+                options: |config, _| Ok(to_value(&config.label)?),
+            },
+            Self::Featurize => Spec {
+                name: "featurize",
+                help: "Compute features: keyframes, scans -> features.parquet",
+                inputs: &[A::Keyframes, A::Scans],
+                outputs: &[A::Features],
+                options: |config, _| Ok(to_value(&config.featurize)?),
+            },
+            Self::Train => Spec {
+                name: "train",
+                help: "Train and cross-validate: pairs, features -> models/, scores.parquet, ...",
+                inputs: &[A::Keyframes, A::Pairs, A::Features],
+                outputs: &[A::Scores, A::Rounds, A::Retrieval, A::Grid],
+                options: train_options,
+            },
+            Self::Evaluate => Spec {
+                name: "evaluate",
+                help: "Measure and report: scores -> evaluation/, report.html",
+                inputs: &[
+                    A::Keyframes,
+                    A::Pairs,
+                    A::Features,
+                    A::Scores,
+                    A::Rounds,
+                    A::Retrieval,
+                    A::Grid,
+                    A::Scans,
+                ],
+                outputs: &[A::Summary, A::Report],
+                // The report shows them all.
+                options: |config, _| Ok(to_value(config)?),
+            },
+        }
+    }
+
+    pub(crate) fn name(self) -> &'static str {
+        self.spec().name
+    }
+
+    /// The command that runs this stage alone.
+    pub(crate) fn command(self) -> String {
+        format!("loopboost {} PIPELINE.toml --out DIR", self.name())
+    }
+}
+
+impl std::fmt::Display for Stage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+/// `--force STAGE`
+impl ValueEnum for Stage {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.name()).help(self.spec().help))
+    }
+}
+
+fn train_options(config: &Config, scope: &Scope<'_>) -> Result<Value> {
+    let lidars = scope
+        .logs
+        .iter()
+        .map(|log| Ok((*log, config.for_log(log)?.lidar)))
+        .collect::<Result<BTreeMap<_, _>>>()?;
+    Ok(json!({
+        "name": config.name,
+        "train": config.train,
+        "evaluate": config.evaluate,
+        "label": config.label,
+        "featurize": config.featurize,
+        "lidars": lidars,
+    }))
+}
+
+/// The site of each log. A log without a site is a site of its own.
+pub(crate) fn sites(config: &Config, logs: &[&str]) -> Result<BTreeMap<String, String>> {
+    logs.iter()
+        .map(|&log| {
+            let site = config.for_log(log)?.site;
+            Ok((log.to_owned(), site.unwrap_or_else(|| log.to_owned())))
+        })
+        .collect()
+}
+
+/// A file, or a folder of files, in the run folder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Artifact {
+    /// A simulated log; one that is split into files is a folder of them.
+    Log,
+    Scans,
+    Poses,
+    Keyframes,
+    Pairs,
+    Features,
+    Scores,
+    Rounds,
+    Retrieval,
+    Grid,
+    /// The numbers of the report as JSON.
+    Summary,
+    Report,
+}
+
+impl Artifact {
+    const ALL: [Self; 12] = [
+        Self::Log,
+        Self::Scans,
+        Self::Poses,
+        Self::Keyframes,
+        Self::Pairs,
+        Self::Features,
+        Self::Scores,
+        Self::Rounds,
+        Self::Retrieval,
+        Self::Grid,
+        Self::Summary,
+        Self::Report,
+    ];
+
+    /// The name in the run folder; `{log}` stands for the name of a log.
+    pub(crate) fn pattern(self) -> &'static str {
+        match self {
+            Self::Log => "logs/{log}.mcap",
+            Self::Scans => "scans/{log}.parquet",
+            Self::Poses => "poses/{log}.parquet",
+            Self::Keyframes => "keyframes.parquet",
+            Self::Pairs => "pairs.parquet",
+            Self::Features => "features.parquet",
+            Self::Scores => "scores.parquet",
+            Self::Rounds => "rounds.parquet",
+            Self::Retrieval => "retrieval.parquet",
+            Self::Grid => "grid.parquet",
+            Self::Summary => "evaluation/summary.json",
+            Self::Report => "report.html",
+        }
+    }
+
+    /// Whether there is one for each log.
+    pub(crate) fn is_per_log(self) -> bool {
+        self.pattern().contains("{log}")
+    }
+
+    /// The name in the run folder of the artifact of a log, or of all logs.
+    pub(crate) fn name(self, log: &str) -> String {
+        self.pattern().replace("{log}", log)
+    }
+
+    /// The artifact with a name in the run folder, and its log.
+    pub(crate) fn of_name(name: &str) -> Option<(Self, Option<&str>)> {
+        Self::ALL.into_iter().find_map(|artifact| match artifact.pattern().split_once("{log}") {
+            Some((before, after)) => {
+                let log = name.strip_prefix(before)?.strip_suffix(after)?;
+                Some((artifact, Some(log)))
+            }
+            None => (artifact.pattern() == name).then_some((artifact, None)),
+        })
+    }
+
+    /// The stage that makes it.
+    pub(crate) fn maker(self) -> Option<Stage> {
+        Stage::ALL.into_iter().find(|stage| stage.spec().outputs.contains(&self))
+    }
+
+    /// The stage that makes the file at a path, by the last parts of the path.
+    pub(crate) fn maker_of_path(path: &Path) -> Option<Stage> {
+        let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
+        let (artifact, _) = (1..=2.min(parts.len())).rev().find_map(|n| {
+            let name = parts[parts.len() - n..].join("/");
+            let (artifact, log) = Self::of_name(&name)?;
+            Some((artifact, log.map(str::to_owned)))
+        })?;
+        artifact.maker()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_name_gives_artifact_log_and_stage() {
+        let of = |name| {
+            let (artifact, log) = Artifact::of_name(name)?;
+            Some((artifact.maker()?.name(), log))
+        };
+        assert_eq!(of("scans/monday.parquet"), Some(("ingest", Some("monday"))));
+        assert_eq!(of("poses/a.b.parquet"), Some(("ingest", Some("a.b"))));
+        assert_eq!(of("logs/monday.mcap"), Some(("simulate", Some("monday"))));
+        assert_eq!(of("pairs.parquet"), Some(("label", None)));
+        assert_eq!(of("evaluation/summary.json"), Some(("evaluate", None)));
+        assert_eq!(of("monday.mcap"), None);
+        let of_path = |path| Artifact::maker_of_path(Path::new(path)).map(Stage::name);
+        assert_eq!(of_path("runs/a/scans/monday.parquet"), Some("ingest"));
+        assert_eq!(of_path("pairs.parquet"), Some("label"));
+        assert_eq!(of_path("runs/a/other.parquet"), None);
+    }
+
+    #[test]
+    fn every_artifact_has_one_stage_that_makes_it() {
+        for artifact in Artifact::ALL {
+            let makers: Vec<_> = Stage::ALL
+                .into_iter()
+                .filter(|stage| stage.spec().outputs.contains(&artifact))
+                .collect();
+            assert_eq!(makers.len(), 1, "{artifact:?}: {makers:?}");
+        }
+    }
+
+    /// A stage reads only what an earlier stage makes.
+    #[test]
+    fn stages_are_in_order_of_their_inputs() {
+        for stage in Stage::ALL {
+            for input in stage.spec().inputs {
+                assert!(input.maker().is_some_and(|maker| maker < stage), "{stage} {input:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn every_stage_has_a_section_of_the_pipeline_file() {
+        let schema = schemars::schema_for!(Config);
+        for stage in Stage::ALL {
+            assert!(schema.as_value()["properties"].get(stage.name()).is_some(), "{stage}");
+        }
+    }
+}
