@@ -237,7 +237,7 @@ fn a_stage_without_its_input_names_the_command_that_makes_it() {
         workplace
             .command(stage, "out", &[])
             .expect(1)
-            .says(&["is missing", &format!("loopboost {before} PIPELINE.toml --out DIR")]);
+            .says(&["does not exist", &format!("loopboost {before} PIPELINE.toml --out DIR")]);
     }
 }
 
