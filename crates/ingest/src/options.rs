@@ -3,8 +3,8 @@
 use messages::hdl32e::LASERS;
 use serde::{Deserialize, Serialize};
 
-pub use crate::clock::Clock;
 use crate::pose_options::{PlanarPose, PoseOptions};
+pub use crate::velodyne::clock::Clock;
 
 /// Where scans come from; the section `[ingest.lidar]`.
 ///

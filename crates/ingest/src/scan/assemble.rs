@@ -7,21 +7,19 @@ use dataset::{Dropped, Pose2, Scan, Trajectory};
 use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
-use crate::Ingested;
-use crate::decode::Decoded;
+use crate::deskew::queue::{Raw, Released, Straightener};
+use crate::drive::topic::Topic;
 use crate::error::IngestError;
-use crate::motion::{Motion, PoseTopics, PosesFrom};
 use crate::options::{Clock, Options};
-use crate::order::Sequencer;
-use crate::ring::RingPacket;
-use crate::sensor::{self, Laser, OtherSensor};
-use crate::straighten::{Raw, Released, Straightener};
-use crate::topic::Topic;
-use crate::turn::ScanMaker;
-use crate::turns::{Ends, MARKED_HOLE_DEG, TurnCutter};
+use crate::pose::readings::Motion;
+use crate::pose::trajectory::{PoseTopics, PosesFrom};
+use crate::scan::decode::Decoded;
+use crate::velodyne::model::{self, Laser, OtherSensor, PACKETS_TO_IDENTIFY};
+use crate::velodyne::packet::RingPacket;
+use crate::velodyne::reorder::Sequencer;
+use crate::velodyne::revolution::ScanMaker;
+use crate::velodyne::split::{Ends, MARKED_HOLE_DEG, TurnCutter};
 
-/// Packets looked at to tell the sensor model.
-pub(crate) const PACKETS_TO_IDENTIFY: usize = 200;
 /// Packets that do not follow each other, one in so many, come from more than one sensor: a network
 /// loses packets in bursts and a clock jumps now and then.
 const MIXED: u64 = 10;
@@ -29,6 +27,25 @@ const SEVERAL_SENSORS: &str =
     "its packets do not follow each other, as if more than one sensor sent to the topic";
 /// Packets of another layout that are no accident, where there are none of the right one.
 const FOREIGN_PACKETS: u64 = 3;
+
+/// What a drive gave besides its scans.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Ingested {
+    /// The poses, in order of time.
+    pub trajectory: Trajectory,
+    /// Whether they are in a map frame of this drive's own: where its wheels were first read, or
+    /// where its first satellite fix was.
+    pub is_own_frame: bool,
+    /// Number of scans handed on.
+    pub n_scans: usize,
+    /// Turns at the two ends that lie only partly in the log; they are not counted as dropped,
+    /// since every recording starts and ends somewhere in a turn.
+    pub n_partial_turns: usize,
+    /// What was in the log and could not be used.
+    pub dropped: Dropped,
+    /// What is to be known of the scans, though nothing was lost for it here.
+    pub notes: Vec<String>,
+}
 
 /// Puts together what the pieces hold.
 pub(crate) struct Joiner {
@@ -172,7 +189,7 @@ impl Joiner {
             Some((&name, &n)) if self.first_packets.is_empty() && FOREIGN_PACKETS <= n => {
                 Some(OtherSensor { name, evidence: "by the flags of its blocks".to_owned() })
             }
-            _ => sensor::other_sensor(&self.first_packets),
+            _ => model::other_sensor(&self.first_packets),
         }
     }
 
@@ -274,7 +291,7 @@ impl Joiner {
                 laser: self.laser.index,
                 elevation_deg: self.laser.elevation_deg,
                 n_firings: self.n_firings,
-                alive: match sensor::lasers(self.lasers_with_returns) {
+                alive: match model::lasers(self.lasers_with_returns) {
                     none if none.is_empty() => "none".to_owned(),
                     some => some,
                 },
@@ -335,7 +352,7 @@ impl Joiner {
             let n = LASERS - dead.count_ones() as usize;
             notes.push(format!(
                 "{n} of {LASERS} lasers seen to return; none seen from {}",
-                sensor::lasers(dead)
+                model::lasers(dead)
             ));
         }
         notes

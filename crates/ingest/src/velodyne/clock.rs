@@ -8,8 +8,8 @@ use std::collections::VecDeque;
 use messages::hdl32e::HOUR_US;
 use serde::{Deserialize, Serialize};
 
-use crate::order::clock_gap_us;
-use crate::ring::RingPacket;
+use crate::velodyne::device_clock::clock_gap_us;
+use crate::velodyne::packet::RingPacket;
 
 /// Where the time of a scan comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -156,7 +156,7 @@ fn gps_ns(packet: &RingPacket) -> Option<i64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ring::tests::packets;
+    use crate::velodyne::packet::tests::packets;
 
     /// Packets that leave the sensor every 552.96 us and reach the host `delay_ns(k)` later.
     fn delayed(n: usize, delay_ns: impl Fn(usize) -> i64) -> Vec<RingPacket> {

@@ -6,10 +6,10 @@
 use std::collections::VecDeque;
 
 use dataset::Dropped;
-use messages::hdl32e::HOUR_US;
 
-use crate::between::Between;
-use crate::ring::RingPacket;
+use crate::velodyne::device_clock::device_gap_us;
+use crate::velodyne::packet::RingPacket;
+use crate::velodyne::packet_gap::Between;
 
 /// A packet can come so much later than those fired after it and still find its place \[us\]: two
 /// messages of a turn each may have changed places, at 5 turns a second. Beyond, the device clock
@@ -106,31 +106,11 @@ impl Sequencer {
 
 const REPEATED: &str = "packets that are there twice";
 
-/// Device time from one packet to another \[us\], negative where the other was earlier. The clock
-/// starts again at the top of the hour: of the two ways around, the shorter.
-#[inline]
-pub(crate) fn device_gap_us(from: &RingPacket, to: &RingPacket) -> f64 {
-    clock_gap_us(from.device_us, to.device_us)
-}
-
-/// The same from one reading of the clock to another.
-#[inline]
-pub(crate) fn clock_gap_us(from_us: u32, to_us: u32) -> f64 {
-    let hour = f64::from(HOUR_US);
-    let gap = f64::from(to_us) - f64::from(from_us);
-    if gap < -hour / 2.0 {
-        gap + hour
-    } else if hour / 2.0 < gap {
-        gap - hour
-    } else {
-        gap
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ring::tests::packets;
+    use crate::velodyne::packet::tests::packets;
+    use messages::hdl32e::HOUR_US;
 
     /// Device times of what comes out \[us past the first\], and the sequencer.
     fn order(packets: &[RingPacket]) -> (Vec<f64>, Sequencer) {

@@ -4,11 +4,11 @@ use std::collections::VecDeque;
 
 use dataset::{Pose2, Scan};
 
-use crate::deskew::{Smear, TimedScan, Track};
-use crate::follow::Follower;
-use crate::motion::Motion;
+use crate::deskew::feed::Follower;
+use crate::deskew::motion::{Smear, TimedScan, Track};
 use crate::options::Options;
-use crate::turn::{ScanMaker, Turn};
+use crate::pose::readings::Motion;
+use crate::velodyne::revolution::{ScanMaker, Turn};
 
 /// Scans that wait at most: 100 s of a lidar at 10 Hz. Where the poses come later than that, scans
 /// stay as they are.

@@ -3,12 +3,12 @@
 use dataset::Dropped;
 use messages::hdl32e::{AZIMUTH_COUNTS, BLOCK_PERIOD_NS, LASER_PERIOD_NS};
 
-use crate::between::{Between, Link, ordinary_step, own_step, step_within};
-use crate::clock::{HostClock, Stamper};
 use crate::options::LidarOptions;
-use crate::ring::RingPacket;
-use crate::sensor::Laser;
-use crate::turn::{FINE_PER_COUNT, FINE_TURN, Firing, Turn};
+use crate::velodyne::clock::{HostClock, Stamper};
+use crate::velodyne::model::Laser;
+use crate::velodyne::packet::RingPacket;
+use crate::velodyne::packet_gap::{Between, Link, ordinary_step, own_step, step_within};
+use crate::velodyne::revolution::{FINE_PER_COUNT, FINE_TURN, Firing, Turn};
 
 /// Firings in a turn beyond which the sensor is taken to have stalled: 0.46 s, where the slowest
 /// turn, at 5 Hz, takes 0.2 s.
@@ -259,8 +259,8 @@ mod tests {
     use super::*;
     use messages::hdl32e::{BLOCKS, HOUR_US, PACKET_PERIOD_NS};
 
-    use crate::ring::tests::packets;
-    use crate::turn::ScanMaker;
+    use crate::velodyne::packet::tests::packets;
+    use crate::velodyne::revolution::ScanMaker;
 
     fn cut(packets: &[RingPacket]) -> (Vec<Turn>, Ends) {
         let mut cutter = TurnCutter::new(&LidarOptions::default(), Laser::HORIZONTAL);

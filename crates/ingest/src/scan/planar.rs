@@ -3,8 +3,8 @@
 use dataset::Scan;
 use messages::{MessageError, Source, read_laser_scan};
 
-use crate::LidarOptions;
-use crate::deskew::TimedScan;
+use crate::deskew::motion::TimedScan;
+use crate::options::LidarOptions;
 
 /// A scan takes no longer than this \[ns\].
 const MAX_SCAN_NS: f64 = 1e9;

@@ -6,9 +6,9 @@ use std::sync::LazyLock;
 use dataset::{RangeLimits, Scan};
 use messages::hdl32e::{AZIMUTH_COUNTS, BLOCK_PERIOD_NS, METRES_PER_COUNT, PERIODS_PER_BLOCK};
 
-use crate::deskew::Smear;
+use crate::deskew::motion::Smear;
 use crate::options::LidarOptions;
-use crate::sensor::Laser;
+use crate::velodyne::model::Laser;
 
 /// Azimuth is counted in 1/40 of 0.01 deg, in which the azimuth of every laser of a block is a
 /// whole number: laser `k` fires `k / 40` of a block period after the block's azimuth was read.

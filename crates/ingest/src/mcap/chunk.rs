@@ -7,8 +7,8 @@ use dataset::Dropped;
 use mcap::records::{MessageHeader, Record, op};
 use zstd::zstd_safe::{DCtx, zstd_sys::ZSTD_ErrorCode};
 
-use crate::log::{Piece, PieceKind, RECORD_HEADER};
-use crate::record;
+use crate::mcap::framing::{FIRST_FREE_OPCODE, Piece, PieceKind, RECORD_HEADER};
+use crate::mcap::record;
 
 /// A chunk that claims to be larger than this when decompressed is not believed. Writers make
 /// chunks of about 1 to 4 MB.
@@ -165,9 +165,6 @@ fn reserve(bytes: &mut Vec<u8>, size: usize) -> Result<(), String> {
         .try_reserve(size)
         .map_err(|_| format!("that claim {size} bytes, more than this machine has"))
 }
-
-/// Opcodes from here on are for private records, below for those of the specification.
-pub(crate) const FIRST_FREE_OPCODE: u8 = 0x80;
 
 /// Walks the records of a decompressed chunk, borrowing from it.
 fn visit_records(

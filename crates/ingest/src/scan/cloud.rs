@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 use dataset::{FULL_RING_DEG, Scan};
 use messages::{Column, MessageError, PointCloud, Source, read_point_cloud};
 
-use crate::deskew::TimedScan;
+use crate::deskew::motion::TimedScan;
 use crate::options::LidarOptions;
 
 /// A ring is found by elevation where its beam is no farther from it than this \[deg\]: half a step

@@ -3,11 +3,11 @@
 use dataset::{Pose2, StampedPose};
 use fuse::WheelSample;
 
-use crate::deskew::Track;
-use crate::frames::FrameGraph;
-use crate::motion::Motion;
+use crate::deskew::dead_reckoning::DeadReckoning;
+use crate::deskew::motion::Track;
+use crate::pose::frames::FrameGraph;
+use crate::pose::readings::Motion;
 use crate::pose_options::{Frames, PoseOptions};
-use crate::reckon::DeadReckoning;
 
 /// How the lidar moves, told while the log is being read.
 pub(crate) struct Follower {

@@ -14,9 +14,13 @@ use mcap::records::{Record, op};
 use memmap2::{Advice, Mmap, UncheckedAdvice};
 use messages::Source;
 
-use crate::IngestError;
-use crate::chunk::{self, Buffer, FIRST_FREE_OPCODE};
-use crate::record;
+use crate::error::IngestError;
+use crate::mcap::chunk::{self, Buffer};
+use crate::mcap::framing::{
+    END_OF_OPCODES, FIRST_FREE_OPCODE, Piece, PieceKind, RECORD_HEADER, RawRecord, record_at,
+    records,
+};
+use crate::mcap::record;
 
 /// A log: a memory-mapped file, or bytes that came another way.
 #[derive(Debug)]
@@ -54,32 +58,6 @@ pub struct Contents {
     /// What of the log's structure is broken.
     pub dropped: Dropped,
     pub(crate) pieces: Vec<Piece>,
-}
-
-/// A stretch of the file that holds messages.
-#[derive(Debug, Clone)]
-pub(crate) struct Piece {
-    pub(crate) kind: PieceKind,
-    pub(crate) range: Range<usize>,
-    /// Channels with messages in it, where the index says so.
-    channels: Option<BTreeSet<u16>>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum PieceKind {
-    /// The body of a whole chunk record.
-    Chunk,
-    /// A chunk record, from its opcode on, that the end of the file cuts.
-    CutChunk,
-    /// Whole top-level records, messages among them, outside any chunk.
-    Records,
-}
-
-impl Piece {
-    /// Whether it can hold messages of a channel that is wanted.
-    pub(crate) fn may_hold(&self, wanted: impl Fn(u16) -> bool) -> bool {
-        self.channels.as_ref().is_none_or(|ids| ids.iter().any(|&id| wanted(id)))
-    }
 }
 
 /// Messages outside chunks are read in stretches of about this size.
@@ -408,34 +386,4 @@ fn indexed_chunk(bytes: &[u8], index: &mcap::records::ChunkIndex) -> Option<RawR
     let end = start.checked_add(usize::try_from(index.chunk_length).ok()?)?;
     let record = record_at(bytes, start)?;
     (record.opcode == op::CHUNK && record.body.end == end).then_some(record)
-}
-
-/// Bytes of a record's opcode and length.
-pub(crate) const RECORD_HEADER: usize = 9;
-/// The opcodes of the specification end before this one.
-const END_OF_OPCODES: u8 = op::DATA_END + 1;
-
-/// A top-level record: where its body lies.
-struct RawRecord {
-    opcode: u8,
-    body: Range<usize>,
-}
-
-/// The record that starts at `at`; none where the file ends before it does.
-fn record_at(bytes: &[u8], at: usize) -> Option<RawRecord> {
-    let opcode = *bytes.get(at)?;
-    let start = at.checked_add(RECORD_HEADER)?;
-    let length = bytes.get(at + 1..start)?.try_into().ok()?;
-    let end = start.checked_add(usize::try_from(u64::from_le_bytes(length)).ok()?)?;
-    (end <= bytes.len()).then_some(RawRecord { opcode, body: start..end })
-}
-
-/// The records that lie wholly within a stretch of the file.
-fn records(bytes: &[u8], range: Range<usize>) -> impl Iterator<Item = RawRecord> {
-    let mut at = range.start;
-    std::iter::from_fn(move || {
-        let record = record_at(&bytes[..range.end], at)?;
-        at = record.body.end;
-        Some(record)
-    })
 }

@@ -5,9 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use dataset::Dropped;
 use messages::{Encoding, MessageType, Source, is_whole};
 
-use crate::chunk::{self, Buffer};
-use crate::log::{Channel, Contents, Log, Piece};
-use crate::{IngestError, LIDAR_TYPES, POSE_TYPES};
+use crate::error::IngestError;
+use crate::mcap::chunk::{self, Buffer};
+use crate::mcap::framing::Piece;
+use crate::mcap::log::{Channel, Contents, Log};
+use crate::types::{LIDAR_TYPES, POSE_TYPES};
 
 /// The files of one drive, in order of time, and what they hold.
 pub(crate) struct Drive<'a> {

@@ -2,10 +2,13 @@
 
 use messages::hdl32e::{BLOCKS, ELEVATION_DEG, HORIZONTAL_LASER, LASERS};
 
-use crate::cloud::MAX_ELEVATION_ERROR_DEG;
 use crate::options::LidarOptions;
-use crate::order::device_gap_us;
-use crate::ring::RingPacket;
+use crate::scan::cloud::MAX_ELEVATION_ERROR_DEG;
+use crate::velodyne::device_clock::device_gap_us;
+use crate::velodyne::packet::RingPacket;
+
+/// Packets looked at to tell the sensor model.
+pub(crate) const PACKETS_TO_IDENTIFY: usize = 200;
 
 /// A sensor that is no HDL-32E.
 #[derive(Debug, Clone, PartialEq)]
@@ -139,7 +142,7 @@ mod tests {
     use messages::hdl32e::{HOUR_US, PRODUCT_HDL32E};
 
     fn packets(period_us: u32, product: u8) -> Vec<RingPacket> {
-        let mut packets = crate::ring::tests::packets(10, 0, 20);
+        let mut packets = crate::velodyne::packet::tests::packets(10, 0, 20);
         for (k, packet) in packets.iter_mut().enumerate() {
             let past_hour = u64::from(HOUR_US) - 1000 + k as u64 * u64::from(period_us);
             packet.device_us = (past_hour % u64::from(HOUR_US)) as u32;

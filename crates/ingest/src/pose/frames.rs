@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use dataset::{Pose2, StampedPose};
 use messages::Transform;
 
-use crate::poses::{unit_quaternion, yaw_rad};
+use crate::pose::message::{unit_quaternion, yaw_rad};
 
 /// Where a frame is in another: rotated, then moved.
 #[derive(Debug, Clone, Copy, PartialEq)]

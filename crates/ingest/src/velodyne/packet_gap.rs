@@ -2,8 +2,8 @@
 
 use messages::hdl32e::{AZIMUTH_COUNTS, BLOCK_PERIOD_NS};
 
-use crate::order::device_gap_us;
-use crate::ring::RingPacket;
+use crate::velodyne::device_clock::device_gap_us;
+use crate::velodyne::packet::RingPacket;
 
 /// A step over more than this many ordinary ones means that packets are missing.
 const MAX_STEPS: f64 = MAX_STEPS_HALVES as f64 / 2.0;

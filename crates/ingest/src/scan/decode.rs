@@ -3,76 +3,16 @@
 use dataset::Dropped;
 use messages::{MessageType, Source};
 
-use crate::chunk::{self, Buffer};
-use crate::cloud::{self, Rings};
-use crate::deskew::TimedScan;
-use crate::error::IngestError;
-use crate::motion::Motion;
-use crate::options::{LidarOptions, Options};
-use crate::planar;
-use crate::ring::Packets;
-use crate::sensor::Laser;
-use crate::topic::{Drive, FilePiece, Topic};
-
-/// What of the lidar makes the scan.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Beam {
-    /// Of packets.
-    pub(crate) laser: Laser,
-    /// Of point clouds.
-    pub(crate) ring: u32,
-}
-
-impl Beam {
-    /// Finds the beam that the options ask for; in clouds by the elevations of their points.
-    pub(crate) fn choose(
-        drive: &Drive<'_>,
-        lidar: &Topic,
-        options: &LidarOptions,
-    ) -> Result<Self, IngestError> {
-        let no_beam = |asked, found| IngestError::NoBeam {
-            path: drive.path(),
-            topic: lidar.name.clone(),
-            asked,
-            found,
-        };
-        let mut beam = Self { laser: Laser::HORIZONTAL, ring: 0 };
-        let is_cloud = |source: &Source| {
-            matches!(
-                source.message_type,
-                MessageType::PointCloud2 | MessageType::FoxglovePointCloud
-            )
-        };
-        let is_packet = |source: &Source| {
-            matches!(source.message_type, MessageType::VelodyneScan | MessageType::VelodynePacket)
-        };
-        if lidar.any(is_packet) {
-            beam.laser = Laser::choose(options).map_err(|(asked, found)| no_beam(asked, found))?;
-        }
-        if lidar.any(is_cloud) {
-            let mut rings = Rings::default();
-            let mut buffer = Buffer::default();
-            let mut is_enough = false;
-            for FilePiece { file, log, piece, .. } in drive.pieces_with(&[lidar]) {
-                if is_enough {
-                    break;
-                }
-                // What cannot be read is counted when the scans are made.
-                chunk::messages(log.bytes(), piece, &mut buffer, |header, data| {
-                    if let Some(source) = lidar.source(file, header.channel_id).filter(is_cloud)
-                        && !is_enough
-                    {
-                        is_enough = rings.add(source, data).is_ok() && rings.is_enough(options);
-                    }
-                });
-            }
-            // Without a readable cloud there is no scan either, and the reasons are counted.
-            let chosen = rings.choose(options).map_err(|(asked, found)| no_beam(asked, found))?;
-            beam.ring = chosen.unwrap_or(beam.ring);
-        }
-        Ok(beam)
-    }
-}
+use crate::deskew::motion::TimedScan;
+use crate::drive::topic::{FilePiece, Topic};
+use crate::drive::window::Part;
+use crate::mcap::chunk::{self, Buffer};
+use crate::options::Options;
+use crate::pose::readings::Motion;
+use crate::scan::beam::Beam;
+use crate::scan::cloud;
+use crate::scan::planar;
+use crate::velodyne::packet::Packets;
 
 /// Reads pieces, several at once.
 pub(crate) struct Reader<'a> {
@@ -81,14 +21,6 @@ pub(crate) struct Reader<'a> {
     pub(crate) of_pose: &'a [&'a Topic],
     pub(crate) beam: Beam,
     pub(crate) options: &'a Options,
-}
-
-/// What is read of a piece.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Part {
-    Lidar,
-    Motion,
-    Both,
 }
 
 /// What one piece of the log holds.

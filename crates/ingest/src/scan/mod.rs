@@ -1,0 +1,7 @@
+//! Messages of a lidar -> scans.
+
+pub(crate) mod assemble;
+pub(crate) mod beam;
+pub(crate) mod cloud;
+pub(crate) mod decode;
+pub(crate) mod planar;

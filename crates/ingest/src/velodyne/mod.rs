@@ -1,0 +1,10 @@
+//! Packets of a Velodyne HDL-32E -> revolutions.
+
+pub(crate) mod clock;
+pub(crate) mod device_clock;
+pub(crate) mod model;
+pub(crate) mod packet;
+pub(crate) mod packet_gap;
+pub(crate) mod reorder;
+pub(crate) mod revolution;
+pub(crate) mod split;
