@@ -48,7 +48,7 @@ use crate::mcap::chunk::Buffer;
 use drive::topic::{Drive, FilePiece, Topic};
 use drive::window::{Part, forget, windows};
 use pose::trajectory::PoseTopics;
-use scan::assemble::Joiner;
+use scan::assemble::Assembler;
 use scan::beam::Beam;
 use scan::decode::{Decoded, Reader};
 
@@ -81,18 +81,18 @@ pub fn ingest<E: From<IngestError> + Send>(
             .map_init(Buffer::default, |buffer, piece| reader.decode(piece, *part, buffer))
             .collect()
     };
-    let mut joiner = Joiner::new(options, beam.laser, dropped);
+    let mut assembler = Assembler::new(options, beam.laser, dropped);
     // The pieces of a window are decoded side by side, and joined in the order of the file while
     // the next window is being decoded.
     let mut decoded = windows.first().map(decode_window).unwrap_or_default();
     for (k, (_, window)) in windows.iter().enumerate() {
         let next = windows.get(k + 1);
         let (joined, next_decoded) = rayon::join(
-            || joiner.join(std::mem::take(&mut decoded), &mut take),
+            || assembler.join(std::mem::take(&mut decoded), &mut take),
             || next.map(decode_window).unwrap_or_default(),
         );
         joined?;
-        if let Some(other) = joiner.other_sensor() {
+        if let Some(other) = assembler.other_sensor() {
             return Err(IngestError::OtherSensor {
                 path: drive.path(),
                 topic: lidar.name,
@@ -101,12 +101,12 @@ pub fn ingest<E: From<IngestError> + Send>(
             }
             .into());
         }
-        if joiner.lacks_clock() {
+        if assembler.lacks_clock() {
             return Err(IngestError::StillClock { path: drive.path(), topic: lidar.name }.into());
         }
         decoded = next_decoded;
         forget(window, &progress);
     }
-    joiner.expect_messages(drive.n_messages(&topics));
-    joiner.finish(&drive.path(), lidar, pose.as_ref(), take)
+    assembler.expect_messages(drive.n_messages(&topics));
+    assembler.finish(&drive.path(), lidar, pose.as_ref(), take)
 }

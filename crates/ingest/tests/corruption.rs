@@ -180,7 +180,7 @@ impl Intact {
         let is_told = !ingested.dropped.is_empty()
             || unchecked
                 && self.is_of_packets
-                && self.ingested.n_partial_turns < ingested.n_partial_turns;
+                && self.ingested.n_partial_revolutions < ingested.n_partial_revolutions;
         assert!(!is_less || is_told, "{what}: {} scans, nothing counted", scans.len());
     }
 

@@ -59,7 +59,7 @@ fn ros_1_and_ros_2_packets_give_the_same_turns() {
         ingest_bytes(&write(&packet_log(Encoding::Ros1), small_chunks()), &options).unwrap();
     assert_eq!(cdr, ros1);
     // 5280 firings of 0.17 deg: the log starts at azimuth 0, so that its first turn is whole.
-    assert_eq!((cdr.len(), found.n_partial_turns), (2, 1));
+    assert_eq!((cdr.len(), found.n_partial_revolutions), (2, 1));
     assert_eq!(cdr[0].len(), 2118);
     assert_eq!(cdr[0].stamp_ns, 17_280, "15 lasers of 1.152 us into the first block");
     // The first firing: 1500 counts of 2 mm, at 3/8 of 0.17 deg to the right.
@@ -185,7 +185,7 @@ fn a_cut_chunk_gives_its_complete_messages() {
     let whole = write(&packet_log(Encoding::Cdr), WriteOptions::new().compression(None));
     let (scans, ingested) = ingest_bytes(&whole[..300_000], &options("/packets", None)).unwrap();
     // Two whole messages, 200 packets of 12 firings: one turn and a part.
-    assert_eq!((scans.len(), ingested.n_partial_turns), (1, 1));
+    assert_eq!((scans.len(), ingested.n_partial_revolutions), (1, 1));
     assert_eq!(ingested.dropped.iter().count(), 1);
 }
 

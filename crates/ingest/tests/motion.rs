@@ -156,7 +156,7 @@ fn on_a_spin_past_a_flat_wall_the_residual_falls_to_the_range_noise() {
     let (straight, of_straight) = ingest(&log, &moving(pose(), true));
     assert_eq!((raw.len(), straight.len()), (10, 10));
     assert!(of_raw.notes.iter().any(|note| note.contains("deskew = false")), "{:?}", of_raw.notes);
-    assert!(of_straight.notes.contains(&"10 scans straightened".to_owned()));
+    assert!(of_straight.notes.contains(&"10 scans deskewed".to_owned()));
     for (raw, straight) in raw.iter().zip(&straight) {
         let lidar = robot_at(raw.stamp_ns) * mount();
         let noise_m = expected_residual_m(straight, &lidar);
@@ -187,7 +187,7 @@ fn where_the_motion_is_not_known_scans_stay_as_they_are() {
     let sparse = interleaved(wall_packets(), robot_poses(300));
     let (scans, ingested) = ingest(&sparse, &moving(pose(), true));
     assert_eq!(scans, raw);
-    let note = "0 scans straightened; 10 are as they were measured, since the motion around them is not known at least every 0.25 s, or jumps";
+    let note = "0 scans deskewed; 10 are as they were measured, since the motion around them is not known at least every 0.25 s, or jumps";
     assert!(ingested.notes.iter().any(|n| n == note), "{:?}", ingested.notes);
 }
 
@@ -256,12 +256,12 @@ fn planar_scans_with_times_are_straightened() {
         .collect();
     let mut limited = options("/scan", Some("/pose"));
     let (_, ingested) = ingest(&fast, &limited);
-    assert!(ingested.notes.contains(&"1 scans straightened".to_owned()));
+    assert!(ingested.notes.contains(&"1 scans deskewed".to_owned()));
     limited.pose.as_mut().unwrap().max_speed_m_s = 5.0;
     let (_, ingested) = ingest(&fast, &limited);
     let note = "3 jumps of the poses, faster than 5 m/s, the largest of 1.00 m in 0.100 s at 0 ns";
     assert!(ingested.notes.iter().any(|n| n.starts_with(note)), "{:?}", ingested.notes);
-    assert!(ingested.notes.iter().any(|n| n.starts_with("0 scans straightened")));
+    assert!(ingested.notes.iter().any(|n| n.starts_with("0 scans deskewed")));
 }
 
 /// The same spin, told by transforms map -> odom -> base (50 Hz) -> lidar.
@@ -358,7 +358,7 @@ fn wheels_and_an_imu_straighten_scans() {
         };
         let (scans, ingested) = ingest(&log, &moving(pose, true));
         // The first turn begins before there is a speed, between the first two positions.
-        let note = ingested.notes.iter().find(|n| n.contains("straightened")).unwrap();
+        let note = ingested.notes.iter().find(|n| n.contains("deskewed")).unwrap();
         assert!(note.starts_with("10 scans") || note.starts_with("9 scans"), "{note}");
         for scan in &scans[1..] {
             let noise_m = expected_residual_m(scan, &(robot_at(scan.stamp_ns) * mount()));
@@ -451,8 +451,8 @@ fn consecutive_scans_of_the_real_drives_lie_closer_when_straightened() {
             residuals.iter().sum::<f64>() / residuals.len() as f64
         };
         let (raw_m, straight_m) = (residual_m(false), residual_m(true));
-        println!("{name}: {raw_m:.4} m, straightened {straight_m:.4} m");
-        assert!(straight_m < 0.97 * raw_m, "{name}: {raw_m} m, straightened {straight_m} m");
+        println!("{name}: {raw_m:.4} m, deskewed {straight_m:.4} m");
+        assert!(straight_m < 0.97 * raw_m, "{name}: {raw_m} m, deskewed {straight_m} m");
     }
 }
 

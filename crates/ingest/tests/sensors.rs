@@ -580,7 +580,7 @@ fn a_drive_split_into_files_gives_the_same_as_one() {
     };
     let options = options("/packets", None);
     let whole = ingest_files(&[write_part("whole.mcap", 0..packets.len())], &options).unwrap();
-    assert_eq!((whole.0.len(), whole.1.n_partial_turns), (5, 1));
+    assert_eq!((whole.0.len(), whole.1.n_partial_revolutions), (5, 1));
     let parts = [("a.mcap", 13..packets.len()), ("b.mcap", 0..6), ("c.mcap", 6..13)];
     let parts = parts.map(|(name, range)| write_part(name, range));
     assert_eq!(ingest_files(&parts, &options).unwrap(), whole);

@@ -24,7 +24,7 @@ impl<'a> Fit<'a> {
     /// Packets rather than what a driver made of them; of poses that move, the most.
     pub(crate) fn of(survey: &'a Survey, track_m: Option<f64>) -> Self {
         let rank = |topic: &TopicSurvey| match &topic.content {
-            Content::Packets(packets) if packets.is_hdl32e && packets.n_turns > 0 => 3,
+            Content::Packets(packets) if packets.is_hdl32e && packets.n_revolutions > 0 => 3,
             Content::Clouds(clouds) if !clouds.rings.is_empty() => 2,
             Content::Scans(_) => 1,
             _ => 0,
@@ -60,7 +60,7 @@ impl<'a> Fit<'a> {
             track_m,
             frames,
             lidar_without_turn: survey.topics.iter().find(
-                |topic| matches!(&topic.content, Content::Packets(packets) if packets.n_turns == 0),
+                |topic| matches!(&topic.content, Content::Packets(packets) if packets.n_revolutions == 0),
             ),
         }
     }
@@ -249,7 +249,7 @@ mod tests {
         let told = |parent: &str, child: &str| TransformSurvey {
             parent: parent.to_owned(),
             child: child.to_owned(),
-            n_told: 9,
+            n_samples: 9,
         };
         let moving = Content::Transforms(vec![told("/map", "odom"), told("odom", "base_link")]);
         let fixed =

@@ -150,7 +150,7 @@ fn print(path: &Path, drive: &LogFile, survey: &Survey) {
             }
             Content::Transforms(transforms) => {
                 for told in transforms {
-                    out!("  {} -> {}, told {} times", told.parent, told.child, told.n_told);
+                    out!("  {} -> {}, told {} times", told.parent, told.child, told.n_samples);
                 }
             }
             Content::Other => {}
@@ -169,7 +169,7 @@ fn print_packets(packets: &PacketsSurvey) {
     out!(
         "  {}, return mode {mode}, {spin} turns a second, {} whole turns",
         packets.sensor,
-        packets.n_turns
+        packets.n_revolutions
     );
     out!(
         "  {} packets, {} missing between them, {} late",

@@ -5,7 +5,7 @@ use fuse::WheelSample;
 
 use crate::deskew::dead_reckoning::DeadReckoning;
 use crate::deskew::motion::Track;
-use crate::pose::frames::FrameGraph;
+use crate::pose::frames::TransformHistory;
 use crate::pose::readings::Motion;
 use crate::pose_options::{Frames, PoseOptions};
 
@@ -40,7 +40,7 @@ impl Follower {
     }
 
     /// Goes on with what comes next in the log; `frames` are the transforms so far.
-    pub(crate) fn follow(&mut self, next: &Motion, frames: &FrameGraph, track: &mut Track) {
+    pub(crate) fn follow(&mut self, next: &Motion, frames: &TransformHistory, track: &mut Track) {
         let mount = self.mount;
         let mut push = |p: &StampedPose| track.push(p.stamp_ns, p.pose * mount);
         match &mut self.how {

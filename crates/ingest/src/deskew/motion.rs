@@ -106,7 +106,7 @@ struct Stretch {
 }
 
 impl Smear {
-    /// Between poses in order of time, not none, around the stamp.
+    /// PacketGap poses in order of time, not none, around the stamp.
     fn new(poses: &[&StampedPose], stamp_ns: i64) -> Self {
         let mut stretches: Vec<Stretch> = Vec::with_capacity(poses.len());
         let mut heading_rad = poses[0].pose.heading_rad;
@@ -182,7 +182,7 @@ impl TimedScan {
     }
 
     /// The scan with its returns where they would have been seen from at the stamp.
-    pub(crate) fn straightened(mut self, smear: &Smear) -> Scan {
+    pub(crate) fn deskewed(mut self, smear: &Smear) -> Scan {
         let points = self.scan.x_m.iter_mut().zip(&mut self.scan.y_m);
         for ((x_m, y_m), &ns) in points.zip(&self.times_ns) {
             let [dx, dy, turned] = smear.at(ns);
@@ -278,7 +278,7 @@ mod tests {
         };
         assert_eq!(timed.range_ns(), Some((0, 100 * MS)));
         let smear = track(&[(0, pose(0.0, 0.0)), (100, pose(0.1, 0.0))]).smear(0, 0, 100 * MS);
-        let scan = timed.straightened(&smear.unwrap());
+        let scan = timed.deskewed(&smear.unwrap());
         assert!(scan.x_m.iter().all(|x| (x - 5.0).abs() < 1e-6), "{:?}", scan.x_m);
         assert_eq!(scan.y_m, [1.0, 0.0, -1.0]);
     }

@@ -8,7 +8,7 @@ use crate::deskew::feed::Follower;
 use crate::deskew::motion::{Smear, TimedScan, Track};
 use crate::options::Options;
 use crate::pose::readings::Motion;
-use crate::velodyne::revolution::{ScanMaker, Turn};
+use crate::velodyne::revolution::{Revolution, ScanBuilder};
 
 /// Scans that wait at most: 100 s of a lidar at 10 Hz. Where the poses come later than that, scans
 /// stay as they are.
@@ -17,15 +17,15 @@ const MAX_HELD: usize = 1000;
 /// What a scan is made of.
 #[derive(Debug)]
 pub(crate) enum Raw {
-    Turn(Turn),
+    Revolution(Revolution),
     Scan(TimedScan),
 }
 
-/// A scan to be made, and the motion during it where it is to be straightened.
+/// A scan to be made, and the motion during it where it is to be deskewed.
 pub(crate) type Released = (Raw, Option<Smear>);
 
 /// Holds scans back until their poses have been read.
-pub(crate) struct Straightener {
+pub(crate) struct Deskewer {
     /// None where scans are to stay as they are.
     follower: Option<Follower>,
     is_wanted: bool,
@@ -38,7 +38,7 @@ pub(crate) struct Straightener {
     n_unknown: u64,
 }
 
-impl Straightener {
+impl Deskewer {
     pub(crate) fn new(options: &Options) -> Self {
         let is_wanted = options.lidar.deskew;
         let pose = options.pose.as_ref().filter(|_| is_wanted);
@@ -110,14 +110,14 @@ impl Straightener {
             .iter()
             .filter(|(n, _)| 0 < *n)
             .map(|(n, why)| format!("; {n} are as they were measured, since {why}"));
-        Some(format!("{} scans straightened{}", self.n_straight, told.collect::<String>()))
+        Some(format!("{} scans deskewed{}", self.n_straight, told.collect::<String>()))
     }
 }
 
 impl Raw {
     fn stamp_ns(&self) -> i64 {
         match self {
-            Self::Turn(turn) => turn.stamp_ns,
+            Self::Revolution(revolution) => revolution.stamp_ns,
             Self::Scan(timed) => timed.scan.stamp_ns,
         }
     }
@@ -125,16 +125,16 @@ impl Raw {
     /// The times of its first and last return, as far as they are known \[ns since the epoch\].
     fn range_ns(&self) -> Option<(i64, i64)> {
         match self {
-            Self::Turn(turn) => Some((turn.stamp_ns, turn.end_ns())),
+            Self::Revolution(revolution) => Some((revolution.stamp_ns, revolution.end_ns())),
             Self::Scan(timed) => timed.range_ns(),
         }
     }
 
-    /// The scan, straightened where the motion is given.
-    pub(crate) fn scan(self, maker: &ScanMaker, smear: Option<&Smear>) -> Scan {
+    /// The scan, deskewed where the motion is given.
+    pub(crate) fn scan(self, maker: &ScanBuilder, smear: Option<&Smear>) -> Scan {
         match (self, smear) {
-            (Self::Turn(turn), smear) => maker.scan(&turn, smear),
-            (Self::Scan(timed), Some(smear)) => timed.straightened(smear),
+            (Self::Revolution(revolution), smear) => maker.scan(&revolution, smear),
+            (Self::Scan(timed), Some(smear)) => timed.deskewed(smear),
             (Self::Scan(timed), None) => timed.scan,
         }
     }

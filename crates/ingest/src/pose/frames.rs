@@ -26,7 +26,7 @@ type Edge = (String, String);
 
 /// What is told of one transform.
 #[derive(Debug, Clone, Default, PartialEq)]
-struct Told {
+struct Recorded {
     /// In the order of the log.
     samples: Vec<(i64, Rigid)>,
     is_static: bool,
@@ -36,8 +36,8 @@ struct Told {
 
 /// The transforms of a log.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(crate) struct FrameGraph {
-    told: BTreeMap<Edge, Told>,
+pub(crate) struct TransformHistory {
+    told: BTreeMap<Edge, Recorded>,
     /// Whether it has been cut down to the transforms that are needed.
     is_cut: bool,
     /// Frames on the way that are told in another frame too: child, parent taken, other parent.
@@ -45,9 +45,9 @@ pub(crate) struct FrameGraph {
 }
 
 /// The transforms from the parent to the child, each with whether it is taken backwards.
-type Way = Vec<(Edge, bool)>;
+type Chain = Vec<(Edge, bool)>;
 
-impl FrameGraph {
+impl TransformHistory {
     /// Adds a transform; the error says what is wrong with it ("with ...").
     pub(crate) fn add(&mut self, transform: &Transform, is_static: bool) -> Result<(), String> {
         let rotation = unit_quaternion(transform.rotation)?;
@@ -112,7 +112,7 @@ impl FrameGraph {
     }
 
     /// The shortest way, of several the first by name.
-    fn way(&self, parent: &str, child: &str) -> Option<Way> {
+    fn way(&self, parent: &str, child: &str) -> Option<Chain> {
         let (start, goal) = (name(parent), name(child));
         let mut reached_by: BTreeMap<&str, Option<(&Edge, bool)>> = BTreeMap::from([(start, None)]);
         let mut queue = VecDeque::from([start]);
@@ -129,7 +129,7 @@ impl FrameGraph {
                 }
             }
         }
-        let mut way = Way::new();
+        let mut way = Chain::new();
         let mut frame = goal;
         while let Some((edge, is_backwards)) = *reached_by.get(frame)? {
             way.push((edge.clone(), is_backwards));
@@ -140,7 +140,7 @@ impl FrameGraph {
     }
 
     /// The transform on a way that is told most often: none where all hold for all time.
-    fn fastest(&self, way: &Way) -> Option<usize> {
+    fn fastest(&self, way: &Chain) -> Option<usize> {
         let n_samples = |k: usize| self.told.get(&way[k].0).map_or(0, |told| told.samples.len());
         let moving = (0..way.len()).filter(|&k| 1 < n_samples(k));
         moving.max_by_key(|&k| (n_samples(k), std::cmp::Reverse(k)))
@@ -155,9 +155,9 @@ impl FrameGraph {
         parent: &str,
         child: &str,
         upside_down: bool,
-    ) -> Result<(Vec<StampedPose>, u64), NoWay> {
-        let way = self.way(parent, child).ok_or(NoWay::Unconnected)?;
-        let fastest = self.fastest(&way).ok_or(NoWay::Still)?;
+    ) -> Result<(Vec<StampedPose>, u64), LookupError> {
+        let way = self.way(parent, child).ok_or(LookupError::Unconnected)?;
+        let fastest = self.fastest(&way).ok_or(LookupError::Still)?;
         let sorted: Vec<Vec<(i64, Rigid)>> = way
             .iter()
             .map(|(edge, _)| {
@@ -182,7 +182,7 @@ impl FrameGraph {
             }
         }
         if !upside_down && poses.len() < 2 * n_down {
-            return Err(NoWay::UpsideDown);
+            return Err(LookupError::UpsideDown);
         }
         Ok((poses, n_beyond))
     }
@@ -197,7 +197,7 @@ impl FrameGraph {
         let moving = (0..way.len()).max_by(|a, b| path(a).total_cmp(&path(b)));
         way.drain(..moving.unwrap_or(0));
         let Some(fastest) = self.fastest(&way) else { return Vec::new() };
-        let told: Vec<&Told> = way.iter().map(|(edge, _)| &self.told[edge]).collect();
+        let told: Vec<&Recorded> = way.iter().map(|(edge, _)| &self.told[edge]).collect();
         let newest =
             told.iter().filter(|told| is_steady(&told.samples)).map(|told| told.newest_ns());
         let Some(until_ns) = newest.min() else { return Vec::new() };
@@ -241,7 +241,7 @@ fn is_in_gap(samples: &[(i64, Rigid)], stamp_ns: i64) -> bool {
     }
 }
 
-impl Told {
+impl Recorded {
     /// Adds what is told next; of what holds for all time the last one told does.
     fn push(&mut self, next: Vec<(i64, Rigid)>) {
         for (stamp_ns, rigid) in next {
@@ -269,7 +269,7 @@ impl Told {
 }
 
 /// The transform along a way, of those it is made of.
-fn chain(way: &Way, rigids: impl Iterator<Item = Option<Rigid>>) -> Option<Rigid> {
+fn chain(way: &Chain, rigids: impl Iterator<Item = Option<Rigid>>) -> Option<Rigid> {
     way.iter().zip(rigids).try_fold(Rigid::IDENTITY, |all, ((_, is_backwards), rigid)| {
         let rigid = rigid?;
         Some(all.then(&if *is_backwards { rigid.inverse() } else { rigid }))
@@ -278,7 +278,7 @@ fn chain(way: &Way, rigids: impl Iterator<Item = Option<Rigid>>) -> Option<Rigid
 
 /// Why there are no poses of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum NoWay {
+pub(crate) enum LookupError {
     /// No transforms lead from one to the other.
     Unconnected,
     /// All that lead there hold for all time.
@@ -405,8 +405,8 @@ mod tests {
 
     /// map -> odom moved by (10, 0) and turned by 90 deg; odom -> base at (2 + t, 0), heading 0.1 t;
     /// base -> mast, base -> lidar 1 m ahead and hanging upside down.
-    fn graph() -> FrameGraph {
-        let mut graph = FrameGraph::default();
+    fn graph() -> TransformHistory {
+        let mut graph = TransformHistory::default();
         let mut add = |names, stamp_ns, translation, rotation, is_static| {
             graph.add(&transform(names, stamp_ns, translation, rotation), is_static).unwrap();
         };
@@ -505,7 +505,7 @@ mod tests {
     /// map -> odom is told at 10 Hz, but not from 1 to 4 s; what odom -> base says then is no pose.
     #[test]
     fn a_transform_that_falls_silent_leaves_a_gap() {
-        let mut graph = FrameGraph::default();
+        let mut graph = TransformHistory::default();
         let mut add = |names, ms: i64, x_m| {
             let told = transform(names, ms * 1_000_000, [x_m, 0.0, 0.0], rotation(0.0, 0.0));
             graph.add(&told, false).unwrap();
@@ -522,12 +522,12 @@ mod tests {
 
     #[test]
     fn two_parents_and_a_lidar_upside_down_are_told() {
-        assert_eq!(graph().poses("map", "lidar", false), Err(NoWay::UpsideDown));
+        assert_eq!(graph().poses("map", "lidar", false), Err(LookupError::UpsideDown));
         let mut forked = graph();
         let other = transform(("gps", "base"), 0, [50.0, 0.0, 0.0], rotation(0.0, 0.0));
         forked.cut_down("map", "lidar");
         assert_eq!(forked.forks().count(), 0);
-        let mut later = FrameGraph::default();
+        let mut later = TransformHistory::default();
         later.add(&other, false).unwrap();
         forked.extend(later);
         let told: Vec<String> = forked.forks().collect();
@@ -536,8 +536,8 @@ mod tests {
 
     #[test]
     fn without_a_way_or_motion_there_are_no_poses() {
-        assert_eq!(graph().poses("map", "wheel", true), Err(NoWay::Unconnected));
-        assert_eq!(graph().poses("mast", "lidar", true), Err(NoWay::Still));
+        assert_eq!(graph().poses("map", "wheel", true), Err(LookupError::Unconnected));
+        assert_eq!(graph().poses("mast", "lidar", true), Err(LookupError::Still));
         assert_eq!(graph().names(), ["base", "lidar", "map", "mast", "odom"]);
         let mut graph = graph();
         let bad = transform(("a", "b"), 0, [0.0; 3], [0.0; 4]);

@@ -7,7 +7,7 @@ use messages::{
     read_transforms,
 };
 
-use crate::pose::frames::FrameGraph;
+use crate::pose::frames::TransformHistory;
 use crate::pose::gnss;
 use crate::pose::message::{stamped_pose, yaw_rad};
 use crate::pose_options::{Frames, PoseOptions};
@@ -17,7 +17,7 @@ use crate::pose_options::{Frames, PoseOptions};
 pub(crate) struct Motion {
     pub(crate) poses: Vec<StampedPose>,
     pub(crate) fixes: Vec<NavSatFix>,
-    pub(crate) frames: FrameGraph,
+    pub(crate) frames: TransformHistory,
     /// Speeds of the wheels.
     pub(crate) speeds: Vec<WheelSample>,
     /// Positions of the wheels: stamp \[ns\], left and right \[m\].

@@ -7,7 +7,7 @@ use fuse::{Fused, ImuSample, Inertial, WheelSample};
 use crate::deskew::motion::is_jump;
 use crate::drive::topic::{Drive, Topic};
 use crate::error::IngestError;
-use crate::pose::frames::{FrameGraph, NoWay};
+use crate::pose::frames::{LookupError, TransformHistory};
 use crate::pose::gnss;
 use crate::pose::readings::{ImuReading, Motion};
 use crate::pose_options::{Frames, PoseOptions};
@@ -77,7 +77,7 @@ impl Motion {
     /// The trajectory of the lidar; what was left out and what is to be known is added.
     pub(crate) fn trajectory(
         self,
-        from: &PosesFrom<'_>,
+        from: &PoseSource<'_>,
         dropped: &mut Dropped,
         notes: &mut Vec<String>,
     ) -> Result<Trajectory, IngestError> {
@@ -151,7 +151,7 @@ impl Motion {
 }
 
 /// Where the poses of a drive come from.
-pub(crate) struct PosesFrom<'a> {
+pub(crate) struct PoseSource<'a> {
     /// Stands for the drive in errors.
     pub(crate) path: &'a std::path::Path,
     pub(crate) topics: &'a PoseTopics,
@@ -162,7 +162,7 @@ pub(crate) struct PosesFrom<'a> {
     pub(crate) upside_down: bool,
 }
 
-impl PosesFrom<'_> {
+impl PoseSource<'_> {
     fn no_poses(&self, dropped: &Dropped) -> IngestError {
         let detail = match dropped.is_empty() {
             true => String::new(),
@@ -172,16 +172,21 @@ impl PosesFrom<'_> {
         IngestError::NoPoses { path: self.path.to_owned(), topic, detail }
     }
 
-    fn no_frames(&self, why: NoWay, frames: &Frames, graph: &FrameGraph) -> IngestError {
+    fn no_frames(
+        &self,
+        why: LookupError,
+        frames: &Frames,
+        graph: &TransformHistory,
+    ) -> IngestError {
         let names: Vec<String> = graph.names().iter().map(|name| format!("`{name}`")).collect();
         IngestError::NoFrames {
             path: self.path.to_owned(),
             parent: frames.parent.clone(),
             child: frames.child.clone(),
             why: match why {
-                NoWay::Unconnected => "no transforms lead from one to the other",
-                NoWay::Still => "none of the transforms between them moves",
-                NoWay::UpsideDown => {
+                LookupError::Unconnected => "no transforms lead from one to the other",
+                LookupError::Still => "none of the transforms between them moves",
+                LookupError::UpsideDown => {
                     "its z axis points down: if that is the lidar's frame, set `ingest.lidar.upside_down = true`, and if not, name the robot's frame"
                 }
             },

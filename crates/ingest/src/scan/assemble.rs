@@ -7,18 +7,18 @@ use dataset::{Dropped, Pose2, Scan, Trajectory};
 use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
-use crate::deskew::queue::{Raw, Released, Straightener};
+use crate::deskew::queue::{Deskewer, Raw, Released};
 use crate::drive::topic::Topic;
 use crate::error::IngestError;
 use crate::options::{Clock, Options};
 use crate::pose::readings::Motion;
-use crate::pose::trajectory::{PoseTopics, PosesFrom};
+use crate::pose::trajectory::{PoseSource, PoseTopics};
 use crate::scan::decode::Decoded;
 use crate::velodyne::model::{self, Laser, OtherSensor, PACKETS_TO_IDENTIFY};
 use crate::velodyne::packet::RingPacket;
-use crate::velodyne::reorder::Sequencer;
-use crate::velodyne::revolution::ScanMaker;
-use crate::velodyne::split::{Ends, MARKED_HOLE_DEG, TurnCutter};
+use crate::velodyne::reorder::Reorderer;
+use crate::velodyne::revolution::ScanBuilder;
+use crate::velodyne::split::{Ends, MARKED_HOLE_DEG, RevolutionSplitter};
 
 /// Packets that do not follow each other, one in so many, come from more than one sensor: a network
 /// loses packets in bursts and a clock jumps now and then.
@@ -40,7 +40,7 @@ pub struct Ingested {
     pub n_scans: usize,
     /// Turns at the two ends that lie only partly in the log; they are not counted as dropped,
     /// since every recording starts and ends somewhere in a turn.
-    pub n_partial_turns: usize,
+    pub n_partial_revolutions: usize,
     /// What was in the log and could not be used.
     pub dropped: Dropped,
     /// What is to be known of the scans, though nothing was lost for it here.
@@ -48,12 +48,12 @@ pub struct Ingested {
 }
 
 /// Puts together what the pieces hold.
-pub(crate) struct Joiner {
+pub(crate) struct Assembler {
     laser: Laser,
     options: Options,
-    sequencer: Sequencer,
-    cutter: TurnCutter,
-    maker: ScanMaker,
+    reorderer: Reorderer,
+    splitter: RevolutionSplitter,
+    maker: ScanBuilder,
     /// The file that is being joined.
     file: usize,
     /// Packets of it that are no later than those of the files before are there twice \[ns\].
@@ -62,7 +62,7 @@ pub(crate) struct Joiner {
     first_packets: Vec<RingPacket>,
     foreign: BTreeMap<&'static str, u64>,
     n_packets: u64,
-    straightener: Straightener,
+    deskewer: Deskewer,
     motion: Motion,
     /// Poses that are earlier than the one before in the log.
     n_poses_back: u64,
@@ -79,16 +79,16 @@ pub(crate) struct Joiner {
     is_damaged: bool,
 }
 
-impl Joiner {
+impl Assembler {
     /// What has been dropped so far is given.
     pub(crate) fn new(options: &Options, laser: Laser, dropped: Dropped) -> Self {
         Self {
             laser,
             options: options.clone(),
-            sequencer: Sequencer::default(),
-            cutter: TurnCutter::new(&options.lidar, laser),
-            maker: ScanMaker::new(&options.lidar, laser),
-            straightener: Straightener::new(options),
+            reorderer: Reorderer::default(),
+            splitter: RevolutionSplitter::new(&options.lidar, laser),
+            maker: ScanBuilder::new(&options.lidar, laser),
+            deskewer: Deskewer::new(options),
             file: 0,
             file_from_ns: i64::MIN,
             newest_ns: i64::MIN,
@@ -116,7 +116,7 @@ impl Joiner {
         decoded: Vec<Decoded>,
         take: &mut impl FnMut(Vec<Scan>) -> Result<(), E>,
     ) -> Result<(), E> {
-        let mut turns = Vec::new();
+        let mut revolutions = Vec::new();
         let mut released = Vec::new();
         for piece in decoded {
             if self.file != piece.file {
@@ -132,7 +132,7 @@ impl Joiner {
                 if self.first_packets.len() < PACKETS_TO_IDENTIFY {
                     self.first_packets.push(*packet);
                 }
-                self.sequencer.push(packet, |packet| self.cutter.push(packet, &mut turns));
+                self.reorderer.push(packet, |packet| self.splitter.push(packet, &mut revolutions));
             }
             for (model, n) in piece.packets.foreign {
                 *self.foreign.entry(model).or_default() += n;
@@ -142,15 +142,15 @@ impl Joiner {
             self.n_clouds_of_other_clock += piece.n_clouds_of_other_clock;
             self.n_messages += piece.n_messages;
             self.is_damaged |= piece.is_damaged;
-            let of_turns = turns.drain(..).map(Raw::Turn);
+            let of_revolutions = revolutions.drain(..).map(Raw::Revolution);
             piece
                 .scans
                 .into_iter()
                 .map(Raw::Scan)
-                .chain(of_turns)
-                .for_each(|raw| self.straightener.hold(raw));
+                .chain(of_revolutions)
+                .for_each(|raw| self.deskewer.hold(raw));
             self.follow(piece.motion);
-            self.straightener.release(false, &mut released);
+            self.deskewer.release(false, &mut released);
             self.n_packets += piece.packets.packets.len() as u64;
             self.dropped.merge(piece.packets.dropped);
             self.dropped.merge(piece.dropped);
@@ -164,15 +164,16 @@ impl Joiner {
         if let Some(options) = &self.options.pose {
             self.motion.cut_down(options);
         }
-        self.straightener.follow(&next, &self.motion);
+        self.deskewer.follow(&next, &self.motion);
         self.n_poses_back += self.motion.extend(next);
     }
 
     fn scan(&mut self, released: Vec<Released>) -> Vec<Scan> {
         for (raw, _) in &released {
-            if let Raw::Turn(turn) = raw {
-                self.n_firings += turn.firings.len() as u64;
-                self.n_returns += turn.firings.iter().filter(|f| f.distance != 0).count() as u64;
+            if let Raw::Revolution(revolution) = raw {
+                self.n_firings += revolution.firings.len() as u64;
+                self.n_returns +=
+                    revolution.firings.iter().filter(|f| f.distance != 0).count() as u64;
             }
         }
         let maker = &self.maker;
@@ -210,15 +211,17 @@ impl Joiner {
         pose: Option<&PoseTopics>,
         mut take: impl FnMut(Vec<Scan>) -> Result<(), E>,
     ) -> Result<Ingested, E> {
-        let mut turns = Vec::new();
-        self.sequencer.flush(&mut |packet| self.cutter.push(packet, &mut turns));
-        let ends = self.cutter.finish(&mut turns);
-        turns.into_iter().for_each(|turn| self.straightener.hold(Raw::Turn(turn)));
+        let mut revolutions = Vec::new();
+        self.reorderer.flush(&mut |packet| self.splitter.push(packet, &mut revolutions));
+        let ends = self.splitter.finish(&mut revolutions);
+        revolutions
+            .into_iter()
+            .for_each(|revolution| self.deskewer.hold(Raw::Revolution(revolution)));
         let mut released = Vec::new();
-        self.straightener.release(true, &mut released);
+        self.deskewer.release(true, &mut released);
         take(self.scan(released))?;
         let mut of_packets = ends.dropped.clone();
-        of_packets.merge(std::mem::take(&mut self.sequencer.dropped));
+        of_packets.merge(std::mem::take(&mut self.reorderer.dropped));
         let n_faults: u64 = of_packets.iter().map(|(_, n)| n).sum();
         let is_mixed = self.n_packets < MIXED * n_faults;
         self.dropped.merge(of_packets);
@@ -239,7 +242,7 @@ impl Joiner {
         let trajectory = match (pose, &self.options.pose) {
             (Some(topics), Some(options)) => {
                 let upside_down = self.options.lidar.upside_down;
-                let from = PosesFrom { path, topics, options, mount, upside_down };
+                let from = PoseSource { path, topics, options, mount, upside_down };
                 self.motion.trajectory(&from, dropped, &mut notes)?
             }
             _ => Trajectory::default(),
@@ -248,7 +251,7 @@ impl Joiner {
             trajectory,
             is_own_frame,
             n_scans: self.n_scans,
-            n_partial_turns: ends.n_partial,
+            n_partial_revolutions: ends.n_partial,
             dropped: self.dropped,
             notes,
         })
@@ -301,7 +304,7 @@ impl Joiner {
     }
 
     fn notes(&self, ends: &Ends) -> Vec<String> {
-        let mut notes: Vec<String> = self.straightener.told().into_iter().collect();
+        let mut notes: Vec<String> = self.deskewer.told().into_iter().collect();
         if ends.n_partial > 0 {
             notes.push(format!("{} turns cut by the log's ends", ends.n_partial));
         }
@@ -317,7 +320,7 @@ impl Joiner {
                 ends.n_clock_jumps
             ));
         }
-        if let (n @ 1.., largest_s) = self.cutter.stamp_steps() {
+        if let (n @ 1.., largest_s) = self.splitter.stamp_steps() {
             notes.push(format!(
                 "the stamps step {n} times against the device clock, by up to {largest_s:.2} s: scans and poses may be that far apart there"
             ));
@@ -331,9 +334,9 @@ impl Joiner {
         if self.options.lidar.clock == Clock::Host && self.n_packets < 2 * ends.n_same_stamp {
             notes.push("packets of a message have one stamp, so that scans may be late by its time: set `ingest.lidar.clock` to \"device\"".to_owned());
         }
-        if self.sequencer.n_late > 0 {
+        if self.reorderer.n_late > 0 {
             notes
-                .push(format!("{} packets came late and were put in order", self.sequencer.n_late));
+                .push(format!("{} packets came late and were put in order", self.reorderer.n_late));
         }
         if self.n_sorted_clouds > 0 {
             notes.push(format!(

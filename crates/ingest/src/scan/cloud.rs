@@ -219,11 +219,12 @@ pub(crate) fn scan(
         swept = swept.max(widest_sweep_rad(&fields));
     }
     // A driver may put more than a turn into a cloud; a scan is one.
-    let n_of_turn = sweep.reached_rad.partition_point(|&reached| reached < TAU - ROUNDING_RAD);
-    let n_beyond = points.len() - n_of_turn;
-    points.truncate(n_of_turn);
+    let n_in_revolution =
+        sweep.reached_rad.partition_point(|&reached| reached < TAU - ROUNDING_RAD);
+    let n_beyond = points.len() - n_in_revolution;
+    points.truncate(n_in_revolution);
     if n_beyond > 0 {
-        swept = sweep.reached_rad[n_of_turn - 1];
+        swept = sweep.reached_rad[n_in_revolution - 1];
     }
     // Compared as f32, which clouds are made of, so that a point at a limit is within it.
     let limits = options.range_min_m as f32..=options.range_max_m as f32;

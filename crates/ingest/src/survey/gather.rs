@@ -22,8 +22,8 @@ use crate::types::{FRAME_TYPES, LIDAR_TYPES, POSE_TYPES};
 use crate::velodyne::device_clock::device_gap_us;
 use crate::velodyne::model::{self, HDL32E, Laser, PACKETS_TO_IDENTIFY};
 use crate::velodyne::packet::RingPacket;
-use crate::velodyne::reorder::Sequencer;
-use crate::velodyne::split::TurnCutter;
+use crate::velodyne::reorder::Reorderer;
+use crate::velodyne::split::RevolutionSplitter;
 
 /// Surveys a drive, one log or several that were split from one.
 ///
@@ -216,9 +216,9 @@ struct Gathered {
 struct PacketsOfTopic {
     n_packets: u64,
     first: Vec<RingPacket>,
-    sequencer: Sequencer,
-    cutter: TurnCutter,
-    turn_stamps_ns: Vec<i64>,
+    reorderer: Reorderer,
+    splitter: RevolutionSplitter,
+    revolution_stamps_ns: Vec<i64>,
     still: bool,
     /// Least of stamps minus device clock, past the hour \[s\].
     offset_s: f64,
@@ -233,9 +233,9 @@ impl PacketsOfTopic {
         Self {
             n_packets: 0,
             first: Vec::new(),
-            sequencer: Sequencer::default(),
-            cutter: TurnCutter::new(&LidarOptions::default(), Laser::HORIZONTAL),
-            turn_stamps_ns: Vec::new(),
+            reorderer: Reorderer::default(),
+            splitter: RevolutionSplitter::new(&LidarOptions::default(), Laser::HORIZONTAL),
+            revolution_stamps_ns: Vec::new(),
             still: true,
             offset_s: f64::INFINITY,
         }
@@ -252,9 +252,9 @@ impl PacketsOfTopic {
         if packet.end_ns != 0 {
             self.offset_s = self.offset_s.min(offset_s(packet));
         }
-        let mut turns = Vec::new();
-        self.sequencer.push(packet, |packet| self.cutter.push(packet, &mut turns));
-        self.turn_stamps_ns.extend(turns.iter().map(|turn| turn.stamp_ns));
+        let mut revolutions = Vec::new();
+        self.reorderer.push(packet, |packet| self.splitter.push(packet, &mut revolutions));
+        self.revolution_stamps_ns.extend(revolutions.iter().map(|revolution| revolution.stamp_ns));
     }
 }
 
@@ -329,7 +329,8 @@ impl Gathered {
                 Content::Poses(poses_survey(&trajectory))
             }
             Some(tf) if FRAME_TYPES.contains(&tf) => {
-                let told = |((parent, child), n_told)| TransformSurvey { parent, child, n_told };
+                let told =
+                    |((parent, child), n_samples)| TransformSurvey { parent, child, n_samples };
                 Content::Transforms(self.found.transforms.into_iter().map(told).collect())
             }
             _ => Content::Other,
@@ -347,23 +348,25 @@ impl Gathered {
             let name = format!("Velodyne {} ({})", other.name, other.evidence);
             return Some(PacketsSurvey::of_another(name, packets.n_packets));
         }
-        let mut turns = Vec::new();
-        packets.sequencer.flush(&mut |packet| packets.cutter.push(packet, &mut turns));
-        let ends = packets.cutter.finish(&mut turns);
-        packets.turn_stamps_ns.extend(turns.iter().map(|turn| turn.stamp_ns));
-        dropped.merge(packets.sequencer.dropped);
+        let mut revolutions = Vec::new();
+        packets.reorderer.flush(&mut |packet| packets.splitter.push(packet, &mut revolutions));
+        let ends = packets.splitter.finish(&mut revolutions);
+        packets
+            .revolution_stamps_ns
+            .extend(revolutions.iter().map(|revolution| revolution.stamp_ns));
+        dropped.merge(packets.reorderer.dropped);
         dropped.merge(ends.dropped);
         for (model, &n) in &self.found.foreign {
             dropped.add(format!("packets of a Velodyne {model}"), n);
         }
-        let stamps = &packets.turn_stamps_ns;
+        let stamps = &packets.revolution_stamps_ns;
         let mut periods: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
         periods.sort_unstable();
         let period_ns = periods.get(periods.len() / 2).copied().filter(|&ns| ns > 0);
         let n_blocks = packets.n_packets as f64 * BLOCKS as f64;
         let dead = (0..LASERS).filter(|&laser| self.found.n_returns[laser] == 0);
         let mode = self.found.return_modes.iter().max_by_key(|(_, n)| **n).map(|(mode, _)| *mode);
-        let (n_stamp_steps, largest_stamp_step_s) = packets.cutter.stamp_steps();
+        let (n_stamp_steps, largest_stamp_step_s) = packets.splitter.stamp_steps();
         Some(PacketsSurvey {
             sensor: format!("Velodyne {HDL32E}"),
             is_hdl32e: true,
@@ -376,11 +379,11 @@ impl Gathered {
             .find_map(|(known, name)| (Some(known.byte()) == mode).then_some(name)),
             n_packets: packets.n_packets,
             n_missing: ends.n_missing_packets,
-            n_late: packets.sequencer.n_late,
+            n_late: packets.reorderer.n_late,
             n_same_stamp: ends.n_same_stamp,
             n_stamp_steps,
             largest_stamp_step_s,
-            n_turns: stamps.len(),
+            n_revolutions: stamps.len(),
             spin_hz: period_ns.map(|ns| 1e9 / ns as f64),
             return_share: self.found.n_returns.iter().map(|&n| n as f64 / n_blocks).collect(),
             dead_lasers: model::lasers(dead.fold(0, |mask, laser| mask | 1 << laser)),

@@ -82,7 +82,7 @@ pub struct PacketsSurvey {
     /// The largest of them \[s\].
     pub largest_stamp_step_s: f64,
     /// Whole turns.
-    pub n_turns: usize,
+    pub n_revolutions: usize,
     /// Turns a second, median \[Hz\].
     pub spin_hz: Option<f64>,
     /// Share of its firings from which each laser has a return, in firing order, `(32,)`.
@@ -105,7 +105,7 @@ impl PacketsSurvey {
             n_same_stamp: 0,
             n_stamp_steps: 0,
             largest_stamp_step_s: 0.0,
-            n_turns: 0,
+            n_revolutions: 0,
             spin_hz: None,
             return_share: Vec::new(),
             dead_lasers: String::new(),
@@ -184,5 +184,5 @@ pub struct TransformSurvey {
     /// The frame that is placed.
     pub child: String,
     /// How often it is told.
-    pub n_told: u64,
+    pub n_samples: u64,
 }

@@ -63,8 +63,8 @@ impl RingPacket {
     /// Whether this is another copy of a packet.
     pub(crate) fn repeats(&self, other: &Self) -> bool {
         // A sensor whose clock stands still, and that does not turn, sends equal packets.
-        let turns = self.azimuth[0] != self.azimuth[usize::from(self.n_firings) - 1];
-        self.device_us == other.device_us && self.azimuth == other.azimuth && turns
+        let is_spinning = self.azimuth[0] != self.azimuth[usize::from(self.n_firings) - 1];
+        self.device_us == other.device_us && self.azimuth == other.azimuth && is_spinning
     }
 }
 

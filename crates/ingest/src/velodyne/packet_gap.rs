@@ -17,7 +17,7 @@ const STAMPS_ON_TIME_US: f64 = STAMPS_ON_TIME_NS as f64 / 1000.0;
 const STAMPS_ON_TIME_NS: i64 = 20_000_000;
 /// A device clock that stands still leaves it to the stamps to tell that turns are missing: by this
 /// share of a turn's time. Less may be a host that was busy.
-const MISSING_TURN: f64 = 0.9;
+const MISSING_REVOLUTION: f64 = 0.9;
 /// Time between two packets beyond which the recording is taken to have been interrupted \[us\].
 const INTERRUPTED_US: f64 = 2e6;
 
@@ -40,9 +40,9 @@ pub(crate) enum Link {
 /// Azimuth from one block to the next \[0.01 deg\], clockwise: of the two ways around the shorter,
 /// negative for a step back.
 fn signed_step(from: u16, to: u16) -> i32 {
-    let turn = i32::from(AZIMUTH_COUNTS);
-    let step = (i32::from(to) - i32::from(from)).rem_euclid(turn);
-    if turn / 2 < step { step - turn } else { step }
+    let revolution = i32::from(AZIMUTH_COUNTS);
+    let step = (i32::from(to) - i32::from(from)).rem_euclid(revolution);
+    if revolution / 2 < step { step - revolution } else { step }
 }
 
 /// The step within a packet; a sensor turns one way, so that a step back is encoder jitter.
@@ -57,7 +57,7 @@ pub(crate) fn own_step(packet: &RingPacket) -> u32 {
 }
 
 /// The step from one packet to the next \[0.01 deg\], where azimuth and device clock say that none is
-/// between them: what [`Between`] finds for nearly all packets, found faster.
+/// between them: what [`PacketGap`] finds for nearly all packets, found faster.
 pub(crate) fn ordinary_step(earlier: &RingPacket, later: &RingPacket) -> Option<u32> {
     let n = usize::from(earlier.n_firings);
     let step = u32::from(later.azimuth[0].checked_sub(earlier.azimuth[n - 1])?);
@@ -72,7 +72,7 @@ pub(crate) fn ordinary_step(earlier: &RingPacket, later: &RingPacket) -> Option<
 
 /// How one packet lies to the one fired before it, by azimuth and by both clocks.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Between {
+pub(crate) struct PacketGap {
     /// Azimuth from the last firing of the one to the first of the other \[0.01 deg\].
     step: i32,
     /// An ordinary step within the first of them \[0.01 deg\].
@@ -85,7 +85,7 @@ pub(crate) struct Between {
     pub(crate) stamps_us: f64,
 }
 
-impl Between {
+impl PacketGap {
     pub(crate) fn new(earlier: &RingPacket, later: &RingPacket) -> Self {
         let n = usize::from(earlier.n_firings);
         let turned = step_within(earlier.azimuth[0], earlier.azimuth[n - 1]);
@@ -112,7 +112,7 @@ impl Between {
     }
 
     /// The time of a whole turn \[us\].
-    fn turn_us(&self) -> f64 {
+    fn revolution_us(&self) -> f64 {
         let n_blocks = f64::from(AZIMUTH_COUNTS) / self.mean_step.max(1.0);
         n_blocks * BLOCK_PERIOD_NS as f64 / 1000.0
     }
@@ -130,7 +130,7 @@ impl Between {
         // whole message can have the same: only a turn's time is told from them.
         let stands_still = self.device_us == 0.0;
         let gap_us = match stands_still {
-            true if late_us < MISSING_TURN * self.turn_us() => self.period_us,
+            true if late_us < MISSING_REVOLUTION * self.revolution_us() => self.period_us,
             true => self.period_us + late_us,
             false => self.device_us,
         };
@@ -142,7 +142,7 @@ impl Between {
             return Link::Next(self.step_ahead());
         }
         // The time that passed tells how many whole turns the azimuths hide.
-        let turn = f64::from(AZIMUTH_COUNTS);
+        let revolution = f64::from(AZIMUTH_COUNTS);
         let step = match self.goes_on() {
             true => self.step_ahead(),
             false => self.step.rem_euclid(i32::from(AZIMUTH_COUNTS)).unsigned_abs(),
@@ -150,7 +150,7 @@ impl Between {
         let block_us = BLOCK_PERIOD_NS as f64 / 1000.0;
         let n_steps = (gap_us - self.period_us) / block_us + 1.0;
         let expected = n_steps.max(0.0) * self.mean_step;
-        let hidden_turns = ((expected - f64::from(step)) / turn).round().max(0.0) as u64;
+        let hidden_turns = ((expected - f64::from(step)) / revolution).round().max(0.0) as u64;
         Link::Hole {
             turned: u64::from(step) + hidden_turns * u64::from(AZIMUTH_COUNTS),
             n_packets: ((gap_us / self.period_us).round() as u64).saturating_sub(1),

@@ -9,7 +9,7 @@ use dataset::Dropped;
 
 use crate::velodyne::device_clock::device_gap_us;
 use crate::velodyne::packet::RingPacket;
-use crate::velodyne::packet_gap::Between;
+use crate::velodyne::packet_gap::PacketGap;
 
 /// A packet can come so much later than those fired after it and still find its place \[us\]: two
 /// messages of a turn each may have changed places, at 5 turns a second. Beyond, the device clock
@@ -24,7 +24,7 @@ const ROOM: f64 = 0.5;
 
 /// Puts packets in order.
 #[derive(Debug, Default)]
-pub(crate) struct Sequencer {
+pub(crate) struct Reorderer {
     /// In order of firing.
     held: VecDeque<RingPacket>,
     /// The packet that was handed out last.
@@ -35,7 +35,7 @@ pub(crate) struct Sequencer {
     pub(crate) dropped: Dropped,
 }
 
-impl Sequencer {
+impl Reorderer {
     /// Takes the next packet of the log; `emit` gets those whose turn it is.
     pub(crate) fn push(&mut self, packet: &RingPacket, mut emit: impl FnMut(&RingPacket)) {
         if packet.end_ns == 0 {
@@ -44,7 +44,7 @@ impl Sequencer {
         }
         let gap_us = self.held.back().map_or(0.0, |newest| device_gap_us(newest, packet));
         // A packet that goes on where the newest ended is not late, whatever the clock says.
-        let set_back = |newest: &RingPacket| Between::new(newest, packet).clock_jumped();
+        let set_back = |newest: &RingPacket| PacketGap::new(newest, packet).clock_jumped();
         if gap_us < -LATE_US || gap_us < 0.0 && self.held.back().is_some_and(set_back) {
             self.flush(&mut emit);
         } else if gap_us < 0.0 {
@@ -112,20 +112,20 @@ mod tests {
     use crate::velodyne::packet::tests::packets;
     use messages::hdl32e::HOUR_US;
 
-    /// Device times of what comes out \[us past the first\], and the sequencer.
-    fn order(packets: &[RingPacket]) -> (Vec<f64>, Sequencer) {
-        let mut sequencer = Sequencer::default();
+    /// Device times of what comes out \[us past the first\], and the reorderer.
+    fn order(packets: &[RingPacket]) -> (Vec<f64>, Reorderer) {
+        let mut reorderer = Reorderer::default();
         let mut out: Vec<RingPacket> = Vec::new();
         for packet in packets {
-            sequencer.push(packet, |packet| out.push(*packet));
+            reorderer.push(packet, |packet| out.push(*packet));
         }
-        sequencer.flush(&mut |packet| out.push(*packet));
+        reorderer.flush(&mut |packet| out.push(*packet));
         assert!(out.windows(2).all(|pair| pair[0].end_ns < pair[1].end_ns));
-        (out.iter().map(|packet| device_gap_us(&packets[0], packet)).collect(), sequencer)
+        (out.iter().map(|packet| device_gap_us(&packets[0], packet)).collect(), reorderer)
     }
 
-    fn reasons(sequencer: &Sequencer) -> Vec<(&str, u64)> {
-        sequencer.dropped.iter().collect()
+    fn reasons(reorderer: &Reorderer) -> Vec<(&str, u64)> {
+        reorderer.dropped.iter().collect()
     }
 
     #[test]
@@ -137,14 +137,14 @@ mod tests {
         shuffled.swap(2, 3);
         let moved = shuffled.remove(100);
         shuffled.insert(400, moved);
-        let (sorted, sequencer) = order(&shuffled);
+        let (sorted, reorderer) = order(&shuffled);
         assert_eq!(sorted, times);
-        assert_eq!((sequencer.n_late, sequencer.dropped.is_empty()), (2, true));
+        assert_eq!((reorderer.n_late, reorderer.dropped.is_empty()), (2, true));
         // Whole messages that changed places.
         let mut swapped = in_order.clone();
         swapped[..400].rotate_left(200);
-        let (sorted, sequencer) = order(&swapped);
-        assert_eq!((sorted.len(), sequencer.n_late), (700, 200));
+        let (sorted, reorderer) = order(&swapped);
+        assert_eq!((sorted.len(), reorderer.n_late), (700, 200));
     }
 
     /// One packet in ten comes late, in a log of many times what is held back.
@@ -152,12 +152,12 @@ mod tests {
     fn late_packets_do_not_add_to_what_is_held_back() {
         let mut late = packets(20 * HELD, 35_000, 20);
         (HELD..late.len() - 1).step_by(10).for_each(|k| late.swap(k, k + 1));
-        let mut sequencer = Sequencer::default();
+        let mut reorderer = Reorderer::default();
         for packet in &late {
-            sequencer.push(packet, |_| {});
-            assert!(sequencer.held.len() <= HELD + 1);
+            reorderer.push(packet, |_| {});
+            assert!(reorderer.held.len() <= HELD + 1);
         }
-        assert!(900 < sequencer.n_late);
+        assert!(900 < reorderer.n_late);
     }
 
     #[test]
@@ -166,15 +166,15 @@ mod tests {
         let mut late = in_order.clone();
         late.swap(4, 5);
         late[5].end_ns = late[4].end_ns + 1000; // stamped on arrival, behind the other
-        let mut sequencer = Sequencer::default();
-        late.iter().for_each(|packet| sequencer.push(packet, |_| {}));
+        let mut reorderer = Reorderer::default();
+        late.iter().for_each(|packet| reorderer.push(packet, |_| {}));
         // A packet takes 552.96 us; the device clock says 553.
-        assert_eq!(sequencer.held[4].end_ns, in_order[5].end_ns - 553_000);
+        assert_eq!(reorderer.held[4].end_ns, in_order[5].end_ns - 553_000);
         let mut swapped = in_order.clone();
         swapped.swap(4, 5);
-        let mut sequencer = Sequencer::default();
-        swapped.iter().for_each(|packet| sequencer.push(packet, |_| {}));
-        assert!(sequencer.held.iter().eq(&in_order));
+        let mut reorderer = Reorderer::default();
+        swapped.iter().for_each(|packet| reorderer.push(packet, |_| {}));
+        assert!(reorderer.held.iter().eq(&in_order));
     }
 
     #[test]
@@ -182,9 +182,9 @@ mod tests {
         let mut twice = packets(100, 35_000, 20);
         twice.insert(51, twice[50]);
         twice.insert(90, twice[10]);
-        let (times, sequencer) = order(&twice);
+        let (times, reorderer) = order(&twice);
         assert_eq!(times.len(), 100);
-        assert_eq!(reasons(&sequencer), [(REPEATED, 2)]);
+        assert_eq!(reasons(&reorderer), [(REPEATED, 2)]);
     }
 
     /// Neither azimuth nor stamps know of it: no packet is late, and none is lost.
@@ -194,7 +194,7 @@ mod tests {
         for packet in &mut set_back[200..] {
             packet.device_us = (packet.device_us + HOUR_US - 100_000) % HOUR_US;
         }
-        let (times, sequencer) = order(&set_back);
-        assert_eq!((times.len(), sequencer.n_late), (400, 0), "{:?}", reasons(&sequencer));
+        let (times, reorderer) = order(&set_back);
+        assert_eq!((times.len(), reorderer.n_late), (400, 0), "{:?}", reasons(&reorderer));
     }
 }

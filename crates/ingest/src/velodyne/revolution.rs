@@ -14,7 +14,7 @@ use crate::velodyne::model::Laser;
 /// whole number: laser `k` fires `k / 40` of a block period after the block's azimuth was read.
 pub(crate) const FINE_PER_COUNT: u32 = PERIODS_PER_BLOCK as u32;
 /// Fine counts in a turn.
-pub(crate) const FINE_TURN: u32 = AZIMUTH_COUNTS as u32 * FINE_PER_COUNT;
+pub(crate) const FINE_PER_REVOLUTION: u32 = AZIMUTH_COUNTS as u32 * FINE_PER_COUNT;
 
 /// One firing of the laser.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,7 +30,7 @@ pub(crate) struct Firing {
 
 /// The firings between two passes of azimuth 0.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub(crate) struct Turn {
+pub(crate) struct Revolution {
     /// When the first firing of the laser happened \[ns\].
     pub(crate) stamp_ns: i64,
     pub(crate) firings: Vec<Firing>,
@@ -51,7 +51,7 @@ pub(crate) struct Turn {
     pub(crate) starts_at_cut: bool,
 }
 
-impl Turn {
+impl Revolution {
     /// Passes over azimuth for which there is no packet \[0.01 deg\].
     pub(crate) fn miss(&mut self, azimuth: u64) {
         self.missed += azimuth;
@@ -85,7 +85,7 @@ impl Turn {
 }
 
 /// Turns -> scans.
-pub(crate) struct ScanMaker {
+pub(crate) struct ScanBuilder {
     limits: RangeLimits,
     /// Sign of y for an azimuth that is clockwise from above.
     side: f64,
@@ -110,7 +110,7 @@ static DIRECTIONS: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
     (0..n_entries).map(direction).collect()
 });
 
-impl ScanMaker {
+impl ScanBuilder {
     pub(crate) fn new(options: &LidarOptions, laser: Laser) -> Self {
         Self {
             limits: RangeLimits { min_m: options.range_min_m, max_m: options.range_max_m },
@@ -129,16 +129,16 @@ impl ScanMaker {
     ///
     /// With the motion during the turn, returns are moved to where they would have been seen from at
     /// its stamp.
-    pub(crate) fn scan(&self, turn: &Turn, smear: Option<&Smear>) -> Scan {
-        let n_returns = turn.firings.iter().filter(|firing| firing.distance != 0).count();
+    pub(crate) fn scan(&self, revolution: &Revolution, smear: Option<&Smear>) -> Scan {
+        let n_returns = revolution.firings.iter().filter(|firing| firing.distance != 0).count();
         let mut scan = Scan {
-            stamp_ns: turn.stamp_ns,
+            stamp_ns: revolution.stamp_ns,
             x_m: Vec::with_capacity(n_returns),
             y_m: Vec::with_capacity(n_returns),
-            coverage_deg: turn.coverage_deg(),
-            hole_deg: turn.widest_hole as f32 / 100.0,
+            coverage_deg: revolution.coverage_deg(),
+            hole_deg: revolution.widest_hole as f32 / 100.0,
         };
-        for firing in &turn.firings {
+        for firing in &revolution.firings {
             let range_m = f64::from(firing.distance) * METRES_PER_COUNT;
             if firing.distance != 0 && self.limits.contains(range_m) {
                 let planar_m = range_m * self.horizontal;
@@ -160,14 +160,14 @@ impl ScanMaker {
     /// seen it h farther left.
     fn moved(&self, firing: &Firing, planar_m: f64, smear: &Smear) -> [f64; 2] {
         let [dx, dy, heading] = smear.at(i64::from(firing.slot) * BLOCK_PERIOD_NS);
-        let turned = self.side * heading * (f64::from(FINE_TURN) / TAU);
+        let turned = self.side * heading * (f64::from(FINE_PER_REVOLUTION) / TAU);
         let mut fine = f64::from(firing.fine_azimuth) + turned;
-        let turn = f64::from(FINE_TURN);
-        if !(0.0..turn).contains(&fine) {
-            fine = fine.rem_euclid(turn);
+        let revolution = f64::from(FINE_PER_REVOLUTION);
+        if !(0.0..revolution).contains(&fine) {
+            fine = fine.rem_euclid(revolution);
         }
         // Whole counts by the table, the rest by its series; what rounds up to a turn is none.
-        let whole = (fine as u32).min(FINE_TURN - 1);
+        let whole = (fine as u32).min(FINE_PER_REVOLUTION - 1);
         let [cos, sin] = self.direction_near(whole, fine - f64::from(whole));
         [dx + planar_m * cos, dy + self.side * planar_m * sin]
     }
@@ -184,7 +184,7 @@ impl ScanMaker {
     fn direction_near(&self, fine_azimuth: u32, part: f64) -> [f64; 2] {
         let [cos, sin] = self.directions[(fine_azimuth / FINE_PER_ENTRY) as usize];
         let fine = f64::from(fine_azimuth % FINE_PER_ENTRY) + part;
-        let d = fine * (TAU / f64::from(FINE_TURN));
+        let d = fine * (TAU / f64::from(FINE_PER_REVOLUTION));
         let d2 = d * d;
         let cos_d = 1.0 - d2 * (0.5 - d2 / 24.0);
         let sin_d = d * (1.0 - d2 * (1.0 / 6.0 - d2 / 120.0));
@@ -196,15 +196,15 @@ impl ScanMaker {
 mod tests {
     use super::*;
 
-    fn maker(options: &LidarOptions) -> ScanMaker {
-        ScanMaker::new(options, Laser::HORIZONTAL)
+    fn maker(options: &LidarOptions) -> ScanBuilder {
+        ScanBuilder::new(options, Laser::HORIZONTAL)
     }
 
     /// 5 m at azimuth 90 deg, clockwise: to the right, y = -5; upside down to the left.
     #[test]
     fn azimuth_is_clockwise_and_mirrored_upside_down() {
         let firing = |deg: u32, distance| Firing { fine_azimuth: deg * 4000, distance, slot: 0 };
-        let turn = Turn {
+        let revolution = Revolution {
             firings: vec![
                 firing(0, 2500),
                 firing(90, 2500),
@@ -212,11 +212,11 @@ mod tests {
                 firing(180, 449),
                 firing(181, 450),
             ],
-            ..Turn::default()
+            ..Revolution::default()
         };
         for (upside_down, y) in [(false, -5.0), (true, 5.0)] {
-            let scan =
-                maker(&LidarOptions { upside_down, ..LidarOptions::default() }).scan(&turn, None);
+            let scan = maker(&LidarOptions { upside_down, ..LidarOptions::default() })
+                .scan(&revolution, None);
             assert_eq!(scan.len(), 3, "no return and 0.898 m are left out, 0.9 m is kept");
             assert_eq!((scan.x_m[0], scan.y_m[0].abs()), (5.0, 0.0));
             assert!(scan.x_m[1].abs() < 1e-6 && (scan.y_m[1] - y).abs() < 1e-6);
@@ -226,8 +226,8 @@ mod tests {
     #[test]
     fn directions_are_exact_between_the_counts() {
         let maker = maker(&LidarOptions::default());
-        for fine in (0..FINE_TURN).step_by(97) {
-            let angle = f64::from(fine) * TAU / f64::from(FINE_TURN);
+        for fine in (0..FINE_PER_REVOLUTION).step_by(97) {
+            let angle = f64::from(fine) * TAU / f64::from(FINE_PER_REVOLUTION);
             let [cos, sin] = maker.direction(fine);
             // The angle itself is rounded to 9e-16.
             assert!((cos - angle.cos()).abs() < 2e-15 && (sin - angle.sin()).abs() < 2e-15);
@@ -242,8 +242,8 @@ mod tests {
             Firing { fine_azimuth: 0, distance: 5000, slot: 0 },
             Firing { fine_azimuth: 90 * 4000, distance: 5001, slot: 1 },
         ];
-        let turn = Turn { firings, ..Turn::default() };
-        let scan = ScanMaker::new(&options, Laser::new(1)).scan(&turn, None);
+        let revolution = Revolution { firings, ..Revolution::default() };
+        let scan = ScanBuilder::new(&options, Laser::new(1)).scan(&revolution, None);
         assert_eq!(scan.len(), 1, "10.002 m is beyond, whatever its share in the plane");
         assert!((scan.x_m[0] - 9.867_62).abs() < 1e-5);
     }

@@ -7,8 +7,8 @@ use crate::options::LidarOptions;
 use crate::velodyne::clock::{HostClock, Stamper};
 use crate::velodyne::model::Laser;
 use crate::velodyne::packet::RingPacket;
-use crate::velodyne::packet_gap::{Between, Link, ordinary_step, own_step, step_within};
-use crate::velodyne::revolution::{FINE_PER_COUNT, FINE_TURN, Firing, Turn};
+use crate::velodyne::packet_gap::{Link, PacketGap, ordinary_step, own_step, step_within};
+use crate::velodyne::revolution::{FINE_PER_COUNT, FINE_PER_REVOLUTION, Firing, Revolution};
 
 /// Firings in a turn beyond which the sensor is taken to have stalled: 0.46 s, where the slowest
 /// turn, at 5 Hz, takes 0.2 s.
@@ -20,7 +20,7 @@ pub(crate) const MARKED_HOLE_DEG: f32 = 5.0;
 
 /// Cuts the packets of a log, given in the order they were fired, into turns.
 #[derive(Debug)]
-pub(crate) struct TurnCutter {
+pub(crate) struct RevolutionSplitter {
     laser: Laser,
     max_missing_share: f64,
     stamper: Stamper,
@@ -31,7 +31,7 @@ pub(crate) struct TurnCutter {
     /// When the pending packet was due to end, by the number of packets since the last stamp that
     /// was later than due \[ns\].
     due_ns: i64,
-    turn: Turn,
+    revolution: Revolution,
     ends: Ends,
 }
 
@@ -50,7 +50,7 @@ pub(crate) struct Ends {
     pub(crate) dropped: Dropped,
 }
 
-impl TurnCutter {
+impl RevolutionSplitter {
     pub(crate) fn new(options: &LidarOptions, laser: Laser) -> Self {
         Self {
             laser,
@@ -60,13 +60,13 @@ impl TurnCutter {
             n_pushed: 0,
             pending: None,
             due_ns: i64::MIN,
-            turn: Turn::default(),
+            revolution: Revolution::default(),
             ends: Ends::default(),
         }
     }
 
     /// Adds the next packet; complete turns go to `turns`.
-    pub(crate) fn push(&mut self, packet: &RingPacket, turns: &mut Vec<Turn>) {
+    pub(crate) fn push(&mut self, packet: &RingPacket, revolutions: &mut Vec<Revolution>) {
         // A few packets of a second tell how the clocks stand.
         self.n_pushed += 1;
         if self.n_pushed.is_multiple_of(HOST_CLOCK_EVERY) {
@@ -77,28 +77,28 @@ impl TurnCutter {
         let Some(pending) = self.pending.replace(*packet) else { return };
         if let Some(step) = ordinary_step(&pending, packet) {
             self.ends.n_same_stamp += u64::from(pending.end_ns == packet.end_ns);
-            self.add(&pending, step, turns);
+            self.add(&pending, step, revolutions);
             return;
         }
-        let between = Between::new(&pending, packet);
+        let between = PacketGap::new(&pending, packet);
         self.ends.n_same_stamp += u64::from(between.stamps_us == 0.0 && between.device_us != 0.0);
         self.ends.n_clock_jumps += u64::from(between.clock_jumped());
         let late_us = (packet.end_ns - due_ns.min(packet.end_ns)) as f64 / 1000.0;
         match between.link(late_us) {
-            Link::Next(step) => self.add(&pending, step, turns),
+            Link::Next(step) => self.add(&pending, step, revolutions),
             Link::Hole { turned, n_packets } => {
-                self.add(&pending, own_step(&pending), turns);
-                self.skip(turned, turns);
+                self.add(&pending, own_step(&pending), revolutions);
+                self.skip(turned, revolutions);
                 let n_firings = n_packets.saturating_mul(u64::from(pending.n_firings));
-                self.turn.skip_slots(n_firings);
+                self.revolution.skip_slots(n_firings);
                 self.ends.n_missing_packets += n_packets;
             }
             Link::Interrupted => {
-                self.add(&pending, own_step(&pending), turns);
+                self.add(&pending, own_step(&pending), revolutions);
                 self.ends
                     .dropped
                     .add("interruptions of the packet stream (clock jump or pause)", 1);
-                self.interrupt(turns);
+                self.interrupt(revolutions);
                 self.stamper.reset();
                 self.host.reset();
                 self.due_ns = packet.end_ns;
@@ -112,16 +112,16 @@ impl TurnCutter {
     }
 
     /// Adds the last packet and ends the last turn.
-    pub(crate) fn finish(&mut self, turns: &mut Vec<Turn>) -> Ends {
+    pub(crate) fn finish(&mut self, revolutions: &mut Vec<Revolution>) -> Ends {
         if let Some(pending) = self.pending.take() {
-            self.add(&pending, own_step(&pending), turns);
+            self.add(&pending, own_step(&pending), revolutions);
         }
-        self.interrupt(turns);
+        self.interrupt(revolutions);
         std::mem::take(&mut self.ends)
     }
 
     /// Adds the firings of a packet whose last step is known.
-    fn add(&mut self, packet: &RingPacket, last_step: u32, turns: &mut Vec<Turn>) {
+    fn add(&mut self, packet: &RingPacket, last_step: u32, revolutions: &mut Vec<Revolution>) {
         let Some(end_ns) = self.stamper.end_ns(packet) else {
             let reason = "packets whose device clock is not on GPS time (more than 60 s from the stamps: set `ingest.lidar.clock` to \"host\" or \"device\")";
             self.ends.dropped.add(reason, 1);
@@ -130,22 +130,23 @@ impl TurnCutter {
         let n = usize::from(packet.n_firings);
         let laser = self.laser.index;
         let first_ns = end_ns - packet.period_ns() + laser as i64 * LASER_PERIOD_NS;
-        if self.is_within_turn(packet, last_step) {
+        if self.is_within_revolution(packet, last_step) {
             let steps = (0..n).map(|k| match packet.azimuth[..n].get(k + 1) {
                 Some(next) => u32::from(next - packet.azimuth[k]),
                 None => last_step,
             });
-            let first_slot = self.turn.next_slot;
-            self.turn.firings.extend(steps.enumerate().map(|(k, step)| Firing {
+            let first_slot = self.revolution.next_slot;
+            self.revolution.firings.extend(steps.enumerate().map(|(k, step)| Firing {
                 fine_azimuth: u32::from(packet.azimuth[k]) * FINE_PER_COUNT + laser as u32 * step,
                 distance: packet.distance[k],
                 slot: first_slot.saturating_add(k as u16),
             }));
-            self.turn.next_slot = first_slot.saturating_add(n as u16);
+            self.revolution.next_slot = first_slot.saturating_add(n as u16);
             let turned = u32::from(packet.azimuth[n - 1] - packet.azimuth[0]);
-            self.turn.swept += u64::from(turned + last_step);
-            self.turn.last_step = last_step;
-            self.turn.reached = self.turn.firings.last().map_or(0, |last| last.fine_azimuth);
+            self.revolution.swept += u64::from(turned + last_step);
+            self.revolution.last_step = last_step;
+            self.revolution.reached =
+                self.revolution.firings.last().map_or(0, |last| last.fine_azimuth);
             return;
         }
         for k in 0..n {
@@ -153,103 +154,109 @@ impl TurnCutter {
             let step =
                 if k + 1 < n { step_within(azimuth, packet.azimuth[k + 1]) } else { last_step };
             let fine = u32::from(azimuth) * FINE_PER_COUNT + laser as u32 * step;
-            let fine_azimuth = if fine < FINE_TURN { fine } else { fine - FINE_TURN };
-            if self.turn.firings.is_empty() && !self.turn.starts_at_cut {
-                self.turn.reached = fine_azimuth;
+            let fine_azimuth =
+                if fine < FINE_PER_REVOLUTION { fine } else { fine - FINE_PER_REVOLUTION };
+            if self.revolution.firings.is_empty() && !self.revolution.starts_at_cut {
+                self.revolution.reached = fine_azimuth;
             }
             // Back by more than half a turn is on past 0; back by less, past 0 too, is jitter.
-            if fine_azimuth + FINE_TURN / 2 < self.turn.reached {
-                self.cut(turns);
+            if fine_azimuth + FINE_PER_REVOLUTION / 2 < self.revolution.reached {
+                self.cut(revolutions);
             }
-            if fine_azimuth < self.turn.reached + FINE_TURN / 2 {
-                self.turn.reached = self.turn.reached.max(fine_azimuth);
+            if fine_azimuth < self.revolution.reached + FINE_PER_REVOLUTION / 2 {
+                self.revolution.reached = self.revolution.reached.max(fine_azimuth);
             }
-            if self.turn.firings.is_empty() {
-                self.turn.stamp_ns = first_ns + k as i64 * BLOCK_PERIOD_NS;
-                self.turn.next_slot = 0;
+            if self.revolution.firings.is_empty() {
+                self.revolution.stamp_ns = first_ns + k as i64 * BLOCK_PERIOD_NS;
+                self.revolution.next_slot = 0;
                 // The firing before the first of a log is due one step before it.
-                self.turn.starts_at_cut |= fine_azimuth < step * FINE_PER_COUNT;
+                self.revolution.starts_at_cut |= fine_azimuth < step * FINE_PER_COUNT;
             }
-            if self.turn.firings.len() == MAX_FIRINGS {
+            if self.revolution.firings.len() == MAX_FIRINGS {
                 self.ends.dropped.add("turns of more than 0.46 s (the sensor stalled)", 1);
-                self.turn = Turn::default();
+                self.revolution = Revolution::default();
             }
-            let slot = self.turn.next_slot;
-            self.turn.firings.push(Firing { fine_azimuth, distance: packet.distance[k], slot });
-            self.turn.next_slot = slot.saturating_add(1);
-            self.turn.swept += u64::from(step);
-            self.turn.last_step = step;
+            let slot = self.revolution.next_slot;
+            self.revolution.firings.push(Firing {
+                fine_azimuth,
+                distance: packet.distance[k],
+                slot,
+            });
+            self.revolution.next_slot = slot.saturating_add(1);
+            self.revolution.swept += u64::from(step);
+            self.revolution.last_step = step;
         }
     }
 
     /// Whether a packet goes on in a turn without a step back, the cut, or anything to look after:
     /// nearly all do.
-    fn is_within_turn(&self, packet: &RingPacket, last_step: u32) -> bool {
+    fn is_within_revolution(&self, packet: &RingPacket, last_step: u32) -> bool {
         let azimuth = &packet.azimuth[..usize::from(packet.n_firings)];
-        let n_firings = self.turn.firings.len();
+        let n_firings = self.revolution.firings.len();
         0 < n_firings
             && n_firings + azimuth.len() <= MAX_FIRINGS
             && azimuth.is_sorted()
-            && self.turn.reached <= u32::from(azimuth[0]) * FINE_PER_COUNT
+            && self.revolution.reached <= u32::from(azimuth[0]) * FINE_PER_COUNT
             && u32::from(azimuth[azimuth.len() - 1]) + last_step < u32::from(AZIMUTH_COUNTS)
             // Wider than that it is a step over the cut, or no step at all.
             && u32::from(azimuth[azimuth.len() - 1] - azimuth[0]) < u32::from(AZIMUTH_COUNTS) / 2
-            && u32::from(azimuth[0]) * FINE_PER_COUNT < self.turn.reached + FINE_TURN / 2
+            && u32::from(azimuth[0]) * FINE_PER_COUNT < self.revolution.reached + FINE_PER_REVOLUTION / 2
     }
 
     /// Passes over missing packets, which cover `turned`: what they cover is missing in the turn,
     /// or in the turns.
-    fn skip(&mut self, turned: u64, turns: &mut Vec<Turn>) {
+    fn skip(&mut self, turned: u64, revolutions: &mut Vec<Revolution>) {
         let whole_turn = u64::from(AZIMUTH_COUNTS);
-        let at = u64::from(self.turn.reached / FINE_PER_COUNT);
+        let at = u64::from(self.revolution.reached / FINE_PER_COUNT);
         // The last firing's own step is swept already.
-        let missed = turned.saturating_sub(u64::from(self.turn.last_step));
+        let missed = turned.saturating_sub(u64::from(self.revolution.last_step));
         let turns_passed = (at + turned) / whole_turn;
         let now_at = (at + turned) % whole_turn;
         if turns_passed == 0 {
-            self.turn.miss(missed);
+            self.revolution.miss(missed);
         } else {
-            self.turn.miss(missed.min(whole_turn.saturating_sub(at)));
-            self.cut(turns);
-            self.turn.miss(now_at);
+            self.revolution.miss(missed.min(whole_turn.saturating_sub(at)));
+            self.cut(revolutions);
+            self.revolution.miss(now_at);
         }
-        self.turn.reached = now_at as u32 * FINE_PER_COUNT;
+        self.revolution.reached = now_at as u32 * FINE_PER_COUNT;
         if turns_passed > 1 {
             self.ends.dropped.add("turns of which every packet is missing", turns_passed - 1);
         }
     }
 
     /// Ends the turn at a cut that was seen.
-    fn cut(&mut self, turns: &mut Vec<Turn>) {
-        let turn = std::mem::take(&mut self.turn);
-        self.turn.firings.reserve(turn.firings.len() + 8);
-        self.turn.starts_at_cut = true;
-        if !turn.starts_at_cut {
+    fn cut(&mut self, revolutions: &mut Vec<Revolution>) {
+        let revolution = std::mem::take(&mut self.revolution);
+        self.revolution.firings.reserve(revolution.firings.len() + 8);
+        self.revolution.starts_at_cut = true;
+        if !revolution.starts_at_cut {
             self.ends.n_partial += 1;
         } else {
-            self.keep(turn, turns);
+            self.keep(revolution, revolutions);
         }
     }
 
     /// Ends the turn where the stream of packets ends.
-    fn interrupt(&mut self, turns: &mut Vec<Turn>) {
-        let turn = std::mem::take(&mut self.turn);
-        let Some(last) = turn.firings.last() else { return };
-        let ends_at_cut = FINE_TURN <= last.fine_azimuth + turn.last_step * FINE_PER_COUNT;
-        if turn.starts_at_cut && ends_at_cut {
-            self.keep(turn, turns);
+    fn interrupt(&mut self, revolutions: &mut Vec<Revolution>) {
+        let revolution = std::mem::take(&mut self.revolution);
+        let Some(last) = revolution.firings.last() else { return };
+        let ends_at_cut =
+            FINE_PER_REVOLUTION <= last.fine_azimuth + revolution.last_step * FINE_PER_COUNT;
+        if revolution.starts_at_cut && ends_at_cut {
+            self.keep(revolution, revolutions);
         } else {
             self.ends.n_partial += 1;
         }
     }
 
-    fn keep(&mut self, turn: Turn, turns: &mut Vec<Turn>) {
-        if self.max_missing_share < turn.missing_share() {
+    fn keep(&mut self, revolution: Revolution, revolutions: &mut Vec<Revolution>) {
+        if self.max_missing_share < revolution.missing_share() {
             let share = self.max_missing_share * 100.0;
             let reason = format!("turns of which more than {share} % are missing");
             self.ends.dropped.add(reason, 1);
         } else {
-            turns.push(turn);
+            revolutions.push(revolution);
         }
     }
 }
@@ -260,16 +267,16 @@ mod tests {
     use messages::hdl32e::{BLOCKS, HOUR_US, PACKET_PERIOD_NS};
 
     use crate::velodyne::packet::tests::packets;
-    use crate::velodyne::revolution::ScanMaker;
+    use crate::velodyne::revolution::ScanBuilder;
 
-    fn cut(packets: &[RingPacket]) -> (Vec<Turn>, Ends) {
-        let mut cutter = TurnCutter::new(&LidarOptions::default(), Laser::HORIZONTAL);
-        let mut turns = Vec::new();
+    fn cut(packets: &[RingPacket]) -> (Vec<Revolution>, Ends) {
+        let mut splitter = RevolutionSplitter::new(&LidarOptions::default(), Laser::HORIZONTAL);
+        let mut revolutions = Vec::new();
         for packet in packets {
-            cutter.push(packet, &mut turns);
+            splitter.push(packet, &mut revolutions);
         }
-        let ends = cutter.finish(&mut turns);
-        (turns, ends)
+        let ends = splitter.finish(&mut revolutions);
+        (revolutions, ends)
     }
 
     fn reasons(ends: &Ends) -> Vec<(&str, u64)> {
@@ -280,20 +287,20 @@ mod tests {
     /// 0.0, 0.2 deg give 359.875, 0.075, 0.275 deg: a turn has 1800 firings and starts at 0.075.
     #[test]
     fn a_turn_starts_at_the_first_firing_past_zero() {
-        let (turns, ends) = cut(&packets(400, 35_000, 20));
+        let (revolutions, ends) = cut(&packets(400, 35_000, 20));
         // 4800 firings: 50 before the first cut (350.0 to 359.8 deg), two turns, the rest.
-        assert_eq!((turns.len(), ends.n_partial), (2, 2));
+        assert_eq!((revolutions.len(), ends.n_partial), (2, 2));
         assert!(ends.dropped.is_empty());
-        for (k, turn) in turns.iter().enumerate() {
-            assert_eq!(turn.firings.len(), 1800);
-            assert_eq!(turn.firings[0].fine_azimuth, 15 * 20);
-            assert_eq!(turn.firings[1].fine_azimuth, 55 * 20);
+        for (k, revolution) in revolutions.iter().enumerate() {
+            assert_eq!(revolution.firings.len(), 1800);
+            assert_eq!(revolution.firings[0].fine_azimuth, 15 * 20);
+            assert_eq!(revolution.firings[1].fine_azimuth, 55 * 20);
             // Block 50 of the log, then 1800 blocks on; laser 15 fires 17.28 us into its block.
             let block = 50 + 1800 * k as i64;
-            assert_eq!(turn.stamp_ns, 1_000_000_000 + block * 46_080 + 17_280);
+            assert_eq!(revolution.stamp_ns, 1_000_000_000 + block * 46_080 + 17_280);
         }
-        let scan =
-            ScanMaker::new(&LidarOptions::default(), Laser::HORIZONTAL).scan(&turns[0], None);
+        let scan = ScanBuilder::new(&LidarOptions::default(), Laser::HORIZONTAL)
+            .scan(&revolutions[0], None);
         assert!((scan.coverage_deg - 359.8).abs() < 1e-4);
         assert!(scan.is_ring());
     }
@@ -301,16 +308,16 @@ mod tests {
     /// The step from 359.99 to 0.19 deg is 0.2 deg, not -359.8; of it 3/8 is 0.075.
     #[test]
     fn azimuth_is_interpolated_across_the_seam() {
-        let (turns, _) = cut(&packets(400, 35_999, 20));
+        let (revolutions, _) = cut(&packets(400, 35_999, 20));
         // Blocks at 359.99 + 0.2 k: laser 15 of the first fires at 0.065 deg, so that the log
         // starts with a cut and its first turn is whole.
-        assert_eq!(turns[0].firings[0].fine_azimuth, 65 * 4);
-        assert_eq!(turns[0].stamp_ns, 1_000_000_000 + 17_280);
-        assert_eq!(turns.len(), 2);
+        assert_eq!(revolutions[0].firings[0].fine_azimuth, 65 * 4);
+        assert_eq!(revolutions[0].stamp_ns, 1_000_000_000 + 17_280);
+        assert_eq!(revolutions.len(), 2);
     }
 
-    fn scan(turn: &Turn) -> dataset::Scan {
-        ScanMaker::new(&LidarOptions::default(), Laser::HORIZONTAL).scan(turn, None)
+    fn scan(revolution: &Revolution) -> dataset::Scan {
+        ScanBuilder::new(&LidarOptions::default(), Laser::HORIZONTAL).scan(revolution, None)
     }
 
     /// Each packet is 2.4 deg; the firings at its two ends are 0.2 deg from their neighbours, so
@@ -320,24 +327,24 @@ mod tests {
         let whole = packets(600, 35_000, 20);
         let mut holed = whole.clone();
         holed.drain(100..103);
-        let (turns, ends) = cut(&holed);
-        assert_eq!((turns.len(), reasons(&ends).len(), ends.n_missing_packets), (3, 0, 3));
-        assert_eq!(turns[0].firings.len(), 1800 - 36);
-        let scans: Vec<_> = turns.iter().map(scan).collect();
+        let (revolutions, ends) = cut(&holed);
+        assert_eq!((revolutions.len(), reasons(&ends).len(), ends.n_missing_packets), (3, 0, 3));
+        assert_eq!(revolutions[0].firings.len(), 1800 - 36);
+        let scans: Vec<_> = revolutions.iter().map(scan).collect();
         assert!((scans[0].coverage_deg - 359.8).abs() < 1e-4, "a ring, whatever is missing");
         assert!((scans[0].hole_deg - 7.2).abs() < 1e-4, "{}", scans[0].hole_deg);
         assert_eq!((scans[1].hole_deg, scans[2].hole_deg), (0.0, 0.0));
         // Two holes: the wider one is told.
         let mut twice = holed.clone();
         twice.remove(50);
-        let (turns, _) = cut(&twice);
-        assert!((scan(&turns[0]).hole_deg - 7.2).abs() < 1e-4);
+        let (revolutions, _) = cut(&twice);
+        assert!((scan(&revolutions[0]).hole_deg - 7.2).abs() < 1e-4);
         // A quarter of a turn is 37.5 packets: 37 missing are within the limit, 38 are not.
         for (n, expected) in [(37, 3), (38, 2)] {
             let mut large = whole.clone();
             large.drain(30..30 + n);
-            let (turns, ends) = cut(&large);
-            assert_eq!((turns.len(), ends.n_missing_packets), (expected, n as u64));
+            let (revolutions, ends) = cut(&large);
+            assert_eq!((revolutions.len(), ends.n_missing_packets), (expected, n as u64));
         }
     }
 
@@ -347,11 +354,12 @@ mod tests {
     fn a_hole_across_the_cut_is_shared_between_two_turns() {
         let mut seam = packets(600, 35_000, 20);
         seam.drain(150..160);
-        let (turns, ends) = cut(&seam);
-        assert_eq!((turns.len(), reasons(&ends)), (3, Vec::new()));
-        let holes: Vec<f32> = turns.iter().map(|turn| scan(turn).hole_deg).collect();
+        let (revolutions, ends) = cut(&seam);
+        assert_eq!((revolutions.len(), reasons(&ends)), (3, Vec::new()));
+        let holes: Vec<f32> =
+            revolutions.iter().map(|revolution| scan(revolution).hole_deg).collect();
         assert!((holes[0] - 10.0).abs() < 0.25 && (holes[1] - 14.0).abs() < 0.25, "{holes:?}");
-        assert!((scan(&turns[1]).coverage_deg - 359.8).abs() < 0.3);
+        assert!((scan(&revolutions[1]).coverage_deg - 359.8).abs() < 0.3);
     }
 
     #[test]
@@ -362,7 +370,7 @@ mod tests {
         // 1910 deg and takes 250 deg from 720..1080, 110 from 1800..2160, and all of the two turns
         // between; the log ends at 2510 deg.
         packets.drain(200..650);
-        let (turns, ends) = cut(&packets);
+        let (revolutions, ends) = cut(&packets);
         assert_eq!(
             reasons(&ends),
             [
@@ -370,7 +378,7 @@ mod tests {
                 ("turns of which more than 25 % are missing", 2)
             ]
         );
-        assert_eq!((turns.len(), ends.n_partial, ends.n_missing_packets), (1, 2, 450));
+        assert_eq!((revolutions.len(), ends.n_partial, ends.n_missing_packets), (1, 2, 450));
     }
 
     #[test]
@@ -383,9 +391,9 @@ mod tests {
             packet.end_ns += 600_000_000_000;
         }
         both.extend(later);
-        let (turns, ends) = cut(&both);
+        let (revolutions, ends) = cut(&both);
         // The second recording starts at 120 deg: 1200 firings, then two turns to the very end.
-        assert_eq!((turns.len(), ends.n_partial), (4, 3));
+        assert_eq!((revolutions.len(), ends.n_partial), (4, 3));
         assert_eq!(
             reasons(&ends),
             [("interruptions of the packet stream (clock jump or pause)", 1)]
@@ -397,9 +405,9 @@ mod tests {
     fn a_pause_of_an_hour_is_an_interruption() {
         let mut packets = packets(800, 35_000, 20);
         packets[400..].iter_mut().for_each(|packet| packet.end_ns += 3_600_000_000_000);
-        let (turns, ends) = cut(&packets);
+        let (revolutions, ends) = cut(&packets);
         assert_eq!(ends.dropped.iter().count(), 1);
-        assert_eq!((turns.len(), ends.n_partial), (4, 4));
+        assert_eq!((revolutions.len(), ends.n_partial), (4, 4));
     }
 
     /// Azimuth and stamps go on: no turn is lost for it.
@@ -411,8 +419,8 @@ mod tests {
                 let device_us = i64::from(packet.device_us) + jump_us;
                 packet.device_us = device_us.rem_euclid(i64::from(HOUR_US)) as u32;
             }
-            let (turns, ends) = cut(&jumping);
-            assert_eq!((turns.len(), ends.n_clock_jumps, reasons(&ends)), (5, 1, vec![]));
+            let (revolutions, ends) = cut(&jumping);
+            assert_eq!((revolutions.len(), ends.n_clock_jumps, reasons(&ends)), (5, 1, vec![]));
         }
         // With the stamps it is a pause.
         let mut paused = packets(800, 35_000, 20);
@@ -420,21 +428,21 @@ mod tests {
             packet.device_us = (packet.device_us + 600_000_000) % HOUR_US;
             packet.end_ns += 600_000_000_000;
         }
-        let (turns, ends) = cut(&paused);
+        let (revolutions, ends) = cut(&paused);
         let expected = "interruptions of the packet stream (clock jump or pause)";
-        assert_eq!((turns.len(), reasons(&ends)), (4, vec![(expected, 1)]));
+        assert_eq!((revolutions.len(), reasons(&ends)), (4, vec![(expected, 1)]));
     }
 
     /// Laser 31 fires 16 x 1.152 us after laser 15: that much later, and at 31/40 of a step.
     #[test]
     fn another_laser_has_its_own_time_and_azimuth() {
-        let mut cutter = TurnCutter::new(&LidarOptions::default(), Laser::new(31));
-        let mut turns = Vec::new();
-        packets(400, 35_000, 20).iter().for_each(|packet| cutter.push(packet, &mut turns));
-        cutter.finish(&mut turns);
+        let mut splitter = RevolutionSplitter::new(&LidarOptions::default(), Laser::new(31));
+        let mut revolutions = Vec::new();
+        packets(400, 35_000, 20).iter().for_each(|packet| splitter.push(packet, &mut revolutions));
+        splitter.finish(&mut revolutions);
         // 359.8 + 0.155 deg is the last before the cut.
-        assert_eq!(turns[0].firings[0].fine_azimuth, 31 * 20);
-        assert_eq!(turns[0].stamp_ns, 1_000_000_000 + 50 * 46_080 + 31 * 1152);
+        assert_eq!(revolutions[0].firings[0].fine_azimuth, 31 * 20);
+        assert_eq!(revolutions[0].stamp_ns, 1_000_000_000 + 50 * 46_080 + 31 * 1152);
     }
 
     #[test]
@@ -443,8 +451,8 @@ mod tests {
         for packet in &mut packets[200..2000] {
             packet.azimuth = [12_345; BLOCKS];
         }
-        let (turns, ends) = cut(&packets);
-        assert!(turns.iter().all(|turn| turn.firings.len() <= MAX_FIRINGS));
+        let (revolutions, ends) = cut(&packets);
+        assert!(revolutions.iter().all(|revolution| revolution.firings.len() <= MAX_FIRINGS));
         assert!(ends.dropped.iter().any(|(reason, _)| reason.contains("stalled")));
     }
 
@@ -460,9 +468,9 @@ mod tests {
                 _ => jittery[packet].azimuth[block - 1],
             };
             jittery[packet].azimuth[block] = (before + 35_999) % 36_000;
-            let (turns, ends) = cut(&jittery);
-            let holes: f32 = turns.iter().map(|turn| scan(turn).hole_deg).sum();
-            let found = (turns.len(), ends.n_missing_packets, ends.dropped.is_empty(), holes);
+            let (revolutions, ends) = cut(&jittery);
+            let holes: f32 = revolutions.iter().map(|revolution| scan(revolution).hole_deg).sum();
+            let found = (revolutions.len(), ends.n_missing_packets, ends.dropped.is_empty(), holes);
             assert_eq!(found, (2, 0, true, 0.0), "packet {packet}, block {block}");
         }
     }
@@ -471,19 +479,19 @@ mod tests {
     fn a_device_clock_that_stands_still_is_done_without() {
         let mut packets = packets(900, 35_000, 20);
         packets.iter_mut().for_each(|packet| packet.device_us = 7);
-        let (turns, ends) = cut(&packets[..400]);
-        assert_eq!((turns.len(), ends.dropped.is_empty()), (2, true));
+        let (revolutions, ends) = cut(&packets[..400]);
+        assert_eq!((revolutions.len(), ends.dropped.is_empty()), (2, true));
         // The stamps of a whole message may be the same.
         let mut by_message = packets[..400].to_vec();
         for (k, packet) in by_message.iter_mut().enumerate() {
             packet.end_ns = 1_000_000_000 + (k as i64 / 181 + 1) * 181 * PACKET_PERIOD_NS;
         }
-        let (turns, ends) = cut(&by_message);
-        assert_eq!((turns.len(), ends.n_missing_packets), (2, 0));
+        let (revolutions, ends) = cut(&by_message);
+        assert_eq!((revolutions.len(), ends.n_missing_packets), (2, 0));
         // Three turns missing show in the stamps.
         packets.drain(200..650);
-        let (turns, ends) = cut(&packets);
-        assert_eq!(turns.len(), 1, "{:?}", reasons(&ends));
+        let (revolutions, ends) = cut(&packets);
+        assert_eq!(revolutions.len(), 1, "{:?}", reasons(&ends));
         assert!(ends.dropped.iter().any(|(reason, n)| reason.contains("every packet") && n == 2));
     }
 }
