@@ -4,7 +4,7 @@
 //! walked record by record from its start; so are the stretches of an intact log that no chunk
 //! index covers, since messages may stand outside chunks. Nothing in the file is skipped unseen.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
