@@ -1,10 +1,11 @@
-//! Fuses wheels and IMU given as CSV and prints the path as CSV.
+//! Fuses wheel and IMU samples from CSV files and prints the path as CSV.
 //!
 //! `cargo run --release -p fuse --example fuse_csv -- WHEELS.csv IMU.csv track_m=0.5 [KEY=VALUE..]`
 //!
-//! WHEELS.csv: stamp [ns], left, right [m/s]. IMU.csv: stamp [ns], yaw rate [rad/s] and, where
-//! there is one, heading [rad]. The path: stamp [ns], x, y [m], heading [rad], and the upper
-//! triangle of their covariance. The report goes to stderr. `imu=none` leaves plain odometry.
+//! Columns of WHEELS.csv: stamp [ns], left and right speed [m/s]. Columns of IMU.csv: stamp [ns], yaw
+//! rate [rad/s] and optionally heading [rad]. Columns of the path: stamp [ns], x, y [m], heading
+//! [rad], and the upper triangle of their covariance. The report is printed to stderr. With `none`
+//! instead of IMU.csv, the result is plain wheel odometry.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -40,21 +41,21 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Stamp \[ns\] and values of a line.
+/// The stamp \[ns\] and the values of a line.
 type Row = (i64, Vec<f64>);
 
 fn rows(path: &str) -> Result<Vec<Row>, Box<dyn Error>> {
     let text = std::fs::read_to_string(path)?;
     text.lines()
         .map(|line| {
-            let (stamp, values) = line.split_once(',').ok_or("expected two columns or more")?;
+            let (stamp, values) = line.split_once(',').ok_or("expected two or more columns")?;
             let values: Result<_, _> = values.split(',').map(str::parse).collect();
             Ok((stamp.parse()?, values?))
         })
         .collect()
 }
 
-/// The defaults, with these settings.
+/// The default options, changed by the settings.
 fn options(settings: &[String]) -> Result<Options, Box<dyn Error>> {
     let mut values: BTreeMap<String, serde_json::Value> =
         serde_json::from_value(serde_json::to_value(Options::default())?)?;

@@ -1,15 +1,16 @@
-//! The extended Kalman filter: what is known of the state after each step, from the steps before.
+//! The extended Kalman filter: estimates the state after each step from this and all earlier steps.
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::Options;
+use crate::options::Options;
 use crate::steps::{Motion, Step};
 
 /// Number of states: the pose, then the parameters.
 pub(crate) const N: usize = POSE + PARAMETERS;
-/// x \[m\], y \[m\] and heading, not wrapped \[rad\].
+/// Number of pose states: x \[m\], y \[m\] and heading, not wrapped \[rad\].
 pub(crate) const POSE: usize = 3;
-/// The rest; each keeps its value, forgets it, or walks, whatever the motion.
+/// Number of parameters. Each is a constant, a random walk or a Gauss-Markov process; the motion does
+/// not change them.
 const PARAMETERS: usize = 8;
 
 pub(crate) const HEADING: usize = 2;
@@ -22,27 +23,27 @@ const HEADING_DRIFT: usize = 8;
 const DEVIATION_COS: usize = 9;
 const DEVIATION_SIN: usize = 10;
 
-/// Deviation of the offset between the headings measured and the frame of the poses: none known
-/// \[rad\].
+/// Prior standard deviation of the offset between the measured headings and the frame of the poses
+/// \[rad\]: the offset is unknown.
 const HEADING_OFFSET_STD: f64 = std::f64::consts::PI;
 
 pub(crate) type Vector = SVector<f64, N>;
 pub(crate) type Matrix = SMatrix<f64, N, N>;
-/// A derivative of the pose by the parameters.
+/// Derivative of the pose with respect to the parameters.
 pub(crate) type PoseByParameters = SMatrix<f64, POSE, PARAMETERS>;
 
-/// Mean and covariance.
+/// Mean and covariance of the state.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct State {
     pub(crate) mean: Vector,
     pub(crate) covariance: Matrix,
 }
 
-/// The derivative F of a step's end by its start:
+/// The derivative F of the state after a step with respect to the state before:
 ///
 /// ```text
 /// F = | A  B |   A = | 1 0 -dy |    B: pose by parameters
-///     | 0  D |       | 0 1  dx |    D: diagonal, 1 but for the heading's drift
+///     | 0  D |       | 0 1  dx |    D: diagonal, 1 except for the heading drift
 ///                    | 0 0  1  |
 /// ```
 #[derive(Debug, Clone, Copy)]
@@ -50,23 +51,23 @@ pub(crate) struct Transition {
     pub(crate) dx_m: f64,
     pub(crate) dy_m: f64,
     pub(crate) by_parameters: PoseByParameters,
-    /// What is left of the heading's drift.
+    /// Remaining share of the heading drift after the step.
     pub(crate) drift_left: f64,
 }
 
-/// A scalar measurement as it was used: its derivative by the state, its innovation, the
-/// innovation's variance and the gain.
+/// A scalar measurement update: its derivative `h` with respect to the state, its innovation, the
+/// variance of the innovation and the gain.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Update {
     pub(crate) h: Vector,
     pub(crate) innovation: f64,
     pub(crate) variance: f64,
     pub(crate) gain: Vector,
-    /// The innovation was beyond the gate and its noise was raised.
+    /// Whether the innovation was beyond the gate and the noise was raised.
     pub(crate) is_outlier: bool,
 }
 
-/// What a step did to the state, in this order.
+/// The operations of a step on the state, in this order.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Applied {
     pub(crate) turn: Option<Update>,
@@ -74,22 +75,22 @@ pub(crate) struct Applied {
     pub(crate) heading: Option<Update>,
 }
 
-/// What is known of a turn.
+/// The turn of the robot during a motion.
 struct Turn {
-    /// \[rad\]
+    /// Measured by the wheels \[rad\].
     by_wheels: f64,
-    /// Without the bias; none where there is no IMU \[rad\].
+    /// Measured by the gyroscope, without the bias; `None` without IMU samples \[rad\].
     by_gyro: Option<f64>,
-    /// Weight of the gyroscope in the mean, 0 to 1; 0 where there is none.
+    /// Weight of the gyroscope in the mean, 0 to 1; 0 without IMU samples.
     gyro_weight: f64,
-    /// \[rad\]
+    /// Weighted mean of the two \[rad\].
     mean: f64,
-    /// Of the mean \[rad^2\].
+    /// Variance of the mean \[rad^2\].
     variance: f64,
 }
 
 impl State {
-    /// At the first stamp: the pose is what defines the frame, and certain.
+    /// The state at the first stamp. The pose is exact, because it defines the frame.
     pub(crate) fn start(options: &Options, pose: dataset::Pose2) -> Self {
         let mut std = Vector::zeros();
         std[GYRO_BIAS] = options.gyro_bias_std;
@@ -105,7 +106,7 @@ impl State {
         Self { mean, covariance: Matrix::from_diagonal(&std.component_mul(&std)) }
     }
 
-    /// One step; `windows` as in [`Steps`](crate::steps::Steps).
+    /// Applies one step; `windows` is [`Steps`](crate::steps::Steps).
     pub(crate) fn step(&mut self, options: &Options, windows: &[Motion], step: &Step) -> Applied {
         let window = step.window.map(|window| &windows[window]);
         let turn = window.and_then(|window| self.measure_turn_difference(options, window));
@@ -114,11 +115,11 @@ impl State {
         Applied { turn, transition, heading }
     }
 
-    /// What wheels and gyroscope say of a turn.
+    /// The turn measured by wheels and gyroscope.
     ///
-    /// A wheel's path is its measured one times 1 + s - e (left) or 1 + s + e (right), and the
-    /// nominal track over the true one is 1 + k (differential drive: Borenstein and Feng 1996,
-    /// see [`Options::wheel_difference_std`]):
+    /// The true path of a wheel is its measured path times 1 + s - e (left) or 1 + s + e (right).
+    /// The nominal track width over the true track width is 1 + k (differential drive: Borenstein
+    /// and Feng 1996, see [`Options::wheel_difference_std`]):
     ///
     /// ```text
     /// turn = (right (1 + s + e) - left (1 + s - e)) (1 + k) / track
@@ -149,17 +150,17 @@ impl State {
         }
     }
 
-    /// Gyroscope against wheels: their turns differ by the bias and by what is wrong with the
-    /// wheels' parameters.
+    /// Compares the turns of gyroscope and wheels. They differ because of the gyroscope bias and the
+    /// errors of the wheel parameters.
     ///
-    /// The difference of two measurements of one turn, with independent errors a and b of the
-    /// variances p and q, is independent of their mean weighted by 1/p and 1/q:
-    /// cov((q a + p b) / (p + q), a - b) = (q p - p q) / (p + q) = 0. So the difference may tell
-    /// about the parameters here and the mean may move the pose in [`predict`](Self::predict).
-    /// The derivative, too, is taken at the mean: with the wheels' own turn its error would
-    /// correlate with the difference and pull the scale down (regression dilution; Fuller 1987,
-    /// "Measurement error models", sec. 1.1). For the same reason samples too sparse for the
-    /// motion, where both turns are mostly error, say nothing about parameters.
+    /// Two measurements of one turn with independent errors a and b of the variances p and q have a
+    /// difference that is uncorrelated with their mean, weighted by 1/p and 1/q:
+    /// cov((q a + p b) / (p + q), a - b) = (q p - p q) / (p + q) = 0. Therefore this update can use
+    /// the difference for the parameters, and [`predict`](Self::predict) can use the mean for the
+    /// pose. The derivative is also evaluated at the mean. With the turn of the wheels alone, its
+    /// error would correlate with the difference and bias the scale toward 0 (regression dilution;
+    /// Fuller 1987, "Measurement error models", sec. 1.1). For the same reason the update is skipped
+    /// if the samples are too sparse for the motion and both turns are mostly error.
     fn measure_turn_difference(&mut self, options: &Options, motion: &Motion) -> Option<Update> {
         let turn = self.turn(options, motion);
         let variance = &motion.variance;
@@ -174,13 +175,14 @@ impl State {
         Some(self.update(options.gate, h, by_gyro - turn.by_wheels, noise))
     }
 
-    /// Derivative of the turn by the wheels by the wheels' difference \[rad\].
+    /// Derivative of the turn measured by the wheels with respect to the wheel difference \[rad\].
     fn turn_by_difference(&self, options: &Options, motion: &Motion) -> f64 {
         2.0 * motion.distance_m * (1.0 + self.mean[TRACK]) / options.track_m
     }
 
-    /// The pose moves along an arc, the parameters walk (Thrun, Burgard and Fox 2005,
-    /// "Probabilistic Robotics", ch. 5.3 and 7.4, here with the chord's length by sinc):
+    /// Moves the pose along an arc and applies the process noise of the parameters (Thrun, Burgard
+    /// and Fox 2005, "Probabilistic Robotics", ch. 5.3 and 7.4; here sinc gives the length of the
+    /// chord):
     ///
     /// ```text
     /// x' = x + d sinc(t / 2) cos(heading + t / 2)      d: distance, t: turn
@@ -236,9 +238,9 @@ impl State {
         transition
     }
 
-    /// A measured heading is the frame's, turned by an offset, with an error that drifts and one
-    /// that repeats with the heading: the coefficients B and C of a compass's deviation (NGA,
-    /// "Handbook of magnetic compass adjustment", Pub. 226).
+    /// Updates the state with a measured heading. It is the heading in the frame of the poses plus an
+    /// offset, a drift, and a deviation that depends on the heading: the coefficients B and C of the
+    /// deviation of a compass (NGA, "Handbook of magnetic compass adjustment", Pub. 226).
     pub(crate) fn measure_heading(&mut self, options: &Options, heading_rad: f64) -> Update {
         let mean = &self.mean;
         let (sin, cos) = libm::sincos(mean[HEADING]);
@@ -258,17 +260,18 @@ impl State {
         self.update(options.gate, h, innovation, noise)
     }
 
-    /// Särkkä 2013, "Bayesian filtering and smoothing", eq. 5.27, for a scalar. Beyond the gate
-    /// the noise is raised until the innovation lies on it (Chang 2014, see [`Options::gate`]).
+    /// Kalman update with a scalar (Särkkä 2013, "Bayesian filtering and smoothing", eq. 5.27). For
+    /// an innovation beyond the gate, the noise is raised until the innovation is at the gate (Chang
+    /// 2014, see [`Options::gate`]).
     fn update(&mut self, gate: f64, h: Vector, innovation: f64, noise: f64) -> Update {
         let p_h = self.covariance * h;
         let expected = h.dot(&p_h) + noise;
-        let least = innovation * innovation / (gate * gate);
-        let is_outlier = expected < least;
-        let variance = if is_outlier { least } else { expected };
+        let least_variance = innovation * innovation / (gate * gate);
+        let is_outlier = expected < least_variance;
+        let variance = if is_outlier { least_variance } else { expected };
         let gain = p_h / variance;
         self.mean += gain * innovation;
-        // P - P h h' P / s, whose rounding is symmetric.
+        // P - P h h' P / s, computed so that the result is exactly symmetric.
         self.covariance.syger(-1.0 / variance, &p_h, &p_h, 1.0);
         self.covariance.fill_upper_triangle_with_lower_triangle();
         Update { h, innovation, variance, gain, is_outlier }
@@ -276,7 +279,7 @@ impl State {
 }
 
 impl Transition {
-    /// P := F P F', block by block.
+    /// Computes P := F P F', block by block.
     fn apply(&self, covariance: &mut Matrix) {
         let a = self.pose_by_pose();
         let b = &self.by_parameters;
@@ -284,7 +287,7 @@ impl Transition {
         let cross = covariance.fixed_view::<POSE, PARAMETERS>(0, POSE).into_owned();
         let parameters = covariance.fixed_view::<PARAMETERS, PARAMETERS>(POSE, POSE).into_owned();
 
-        let moved = a * cross + b * parameters; // the cross block of F P, before D
+        let moved = a * cross + b * parameters; // the cross block of F P, before the factor D
         let corner = (a * pose + b * cross.transpose()) * a.transpose() + moved * b.transpose();
         let corner = 0.5 * (corner + corner.transpose());
         covariance.fixed_view_mut::<POSE, POSE>(0, 0).copy_from(&corner);
@@ -302,7 +305,7 @@ impl Transition {
         )
     }
 
-    /// F as a whole.
+    /// The whole matrix F.
     #[cfg(test)]
     pub(crate) fn matrix(&self) -> Matrix {
         let mut f = Matrix::identity();
@@ -312,7 +315,7 @@ impl Transition {
         f
     }
 
-    /// v := F' v.
+    /// Computes F' v.
     pub(crate) fn pull_back(&self, v: &Vector) -> Vector {
         let pose = v.fixed_rows::<POSE>(0);
         let mut pulled = *v;
@@ -323,7 +326,7 @@ impl Transition {
         pulled
     }
 
-    /// M := F' M F for a symmetric M, block by block.
+    /// Computes M := F' M F for a symmetric M, block by block.
     pub(crate) fn pull_back_matrix(&self, m: &mut Matrix) {
         let a = self.pose_by_pose();
         let b = &self.by_parameters;
@@ -344,7 +347,7 @@ impl Transition {
     }
 }
 
-/// sin(a) / a and its derivative; below 1e-4 by their series, good to 1e-17.
+/// sin(a) / a and its derivative. Below 1e-4 their series are used, with an error below 1e-17.
 fn sinc(a: f64) -> (f64, f64) {
     if a.abs() < 1e-4 {
         return (1.0 - a * a / 6.0, -a / 3.0);

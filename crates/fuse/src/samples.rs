@@ -1,4 +1,4 @@
-/// Speeds of the two driven wheels along the ground.
+/// Speeds of the left and right driven wheels along the ground.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct WheelSample {
     /// \[ns since the epoch\]
@@ -9,24 +9,30 @@ pub struct WheelSample {
     pub right_m_per_s: f64,
 }
 
-/// What an IMU says about the heading.
+/// The yaw rate and the heading measured by an IMU.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ImuSample {
     /// \[ns since the epoch\]
     pub stamp_ns: i64,
-    /// Counter-clockwise seen from above; [`yaw_rates_rad_s`](crate::yaw_rates_rad_s) levels an
-    /// IMU that leans \[rad/s\].
+    /// Rate about the vertical, counter-clockwise seen from above \[rad/s\]. For an IMU that is not
+    /// level, compute it with [`yaw_rates_rad_s`](crate::yaw_rates_rad_s).
     pub yaw_rate_rad_s: f64,
-    /// Counter-clockwise from a fixed direction, of a compass, an attitude and heading reference
-    /// or a fibre-optic gyroscope that integrates \[rad\].
+    /// Heading, counter-clockwise from a fixed direction \[rad\], measured by a compass, an attitude
+    /// and heading reference system, or a fibre-optic gyroscope with an integrator.
     pub heading_rad: Option<f64>,
 }
 
 impl WheelSample {
-    /// From the twist of an odometry message: the speed of the middle between the wheels \[m/s\]
-    /// and the yaw rate \[rad/s\] that was computed with this track \[m\].
-    pub fn from_twist(stamp_ns: i64, forward_m_per_s: f64, yaw_rate: f64, track_m: f64) -> Self {
-        let half_difference = 0.5 * track_m * yaw_rate;
+    /// Computes the wheel speeds from the twist of an odometry message: the forward speed of the
+    /// midpoint between the wheels, and the yaw rate that was computed with the track width
+    /// `track_m`.
+    pub fn from_twist(
+        stamp_ns: i64,
+        forward_m_per_s: f64,
+        yaw_rate_rad_s: f64,
+        track_m: f64,
+    ) -> Self {
+        let half_difference = 0.5 * track_m * yaw_rate_rad_s;
         Self {
             stamp_ns,
             left_m_per_s: forward_m_per_s - half_difference,
@@ -34,9 +40,10 @@ impl WheelSample {
         }
     }
 
-    /// From the positions of the wheels: stamp \[ns\], path of the left and of the right one
-    /// \[m\]. Each mean speed has the stamp halfway between its two positions. Positions whose
-    /// stamp does not advance give stamps that do not, which [`fuse`](crate::fuse) counts.
+    /// Computes mean speeds from wheel positions. Each position is a stamp \[ns\], the path of the
+    /// left wheel and the path of the right wheel \[m\]. The stamp of a speed is halfway between
+    /// its two positions. If the stamps of the positions do not increase, the stamps of the speeds
+    /// do not increase either; [`fuse`](crate::fuse) drops and counts such samples.
     pub fn from_positions(positions: &[(i64, f64, f64)]) -> Vec<Self> {
         let pairs = positions.iter().zip(positions.iter().skip(1));
         pairs

@@ -1,16 +1,30 @@
-//! Samples -> signals that can be integrated over any stretch of time.
+//! Samples -> signals that can be integrated over any time span.
 
-use dataset::Dropped;
+use dataset::{LossKind, Losses};
+use serde::{Deserialize, Serialize};
 
-use crate::{Gaps, ImuSample, WheelSample};
+use crate::samples::{ImuSample, WheelSample};
 
-/// A sample with a stamp and some values that are integrated.
+/// Time spans without samples that are longer than `max_gap_secs`.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Gaps {
+    /// Number of gaps.
+    pub n: usize,
+    /// Their total duration \[s\].
+    pub secs: f64,
+}
+
+/// A sample with a stamp and values that can be integrated.
 pub(crate) trait Sampled<const N: usize> {
+    /// The name of the sensor in losses.
+    const SENSOR: &'static str;
     fn stamp_ns(&self) -> i64;
     fn values(&self) -> [f64; N];
 }
 
 impl Sampled<2> for WheelSample {
+    const SENSOR: &'static str = "wheel";
+
     fn stamp_ns(&self) -> i64 {
         self.stamp_ns
     }
@@ -20,6 +34,8 @@ impl Sampled<2> for WheelSample {
 }
 
 impl Sampled<1> for ImuSample {
+    const SENSOR: &'static str = "imu";
+
     fn stamp_ns(&self) -> i64 {
         self.stamp_ns
     }
@@ -28,11 +44,10 @@ impl Sampled<1> for ImuSample {
     }
 }
 
-/// The samples whose stamps advance and whose values are finite; the others are counted.
+/// Returns the samples with increasing stamps and finite values, and counts the others.
 pub(crate) fn in_order<S: Sampled<N> + Copy, const N: usize>(
     samples: &[S],
-    name: &str,
-    dropped: &mut Dropped,
+    losses: &mut Losses,
 ) -> Vec<S> {
     let mut kept: Vec<S> = Vec::with_capacity(samples.len());
     let (mut n_repeated, mut n_back, mut n_not_finite) = (0, 0, 0);
@@ -44,9 +59,10 @@ pub(crate) fn in_order<S: Sampled<N> + Copy, const N: usize>(
             _ => kept.push(*sample),
         }
     }
-    dropped.add(format!("{name} samples whose stamp repeats"), n_repeated);
-    dropped.add(format!("{name} samples whose stamp steps back"), n_back);
-    dropped.add(format!("{name} samples with a value that is not finite"), n_not_finite);
+    let sensor = || S::SENSOR.to_owned();
+    losses.add(LossKind::DuplicateSampleStamps { sensor: sensor() }, n_repeated);
+    losses.add(LossKind::SampleStampsStepBack { sensor: sensor() }, n_back);
+    losses.add(LossKind::NonFiniteSamples { sensor: sensor() }, n_not_finite);
     kept
 }
 
@@ -55,19 +71,19 @@ pub(crate) fn seconds(from_ns: i64, to_ns: i64) -> f64 {
     to_ns.saturating_sub(from_ns) as f64 * 1e-9
 }
 
-/// Integrals over a stretch of time.
-pub(crate) struct Stretch<const N: usize> {
-    pub(crate) integrals: [f64; N],
-    /// The largest absolute value at the stretch's ends and between them.
+/// Integrals over a time span.
+pub(crate) struct Integral<const N: usize> {
+    pub(crate) values: [f64; N],
+    /// The largest absolute value in the span.
     pub(crate) largest: f64,
-    /// Integral of [`missed`] over the stretch \[s^3\].
+    /// Integral of [`missed_variance`] over the span \[s^3\].
     pub(crate) missed: f64,
 }
 
-/// Reads a signal from front to back; linear between two samples.
+/// A signal that is linear between two samples. It is read from front to back.
 pub(crate) struct Signal<'a, S, const N: usize> {
     samples: &'a [S],
-    /// The stretch last read ended between this sample and the next, or at this one.
+    /// The last span ended at this sample, or between this sample and the next.
     at: usize,
     response_secs: f64,
 }
@@ -77,9 +93,9 @@ impl<'a, S: Sampled<N>, const N: usize> Signal<'a, S, N> {
         Self { samples, at: 0, response_secs }
     }
 
-    /// Integrals from one stamp to a later one, where there are samples on both sides; the
-    /// stretches asked for must be in order of time.
-    pub(crate) fn integrate(&mut self, from_ns: i64, to_ns: i64) -> Option<Stretch<N>> {
+    /// Integrates from one stamp to a later one. The result is `None` if there are no samples
+    /// before or after the span. Consecutive calls must ask for spans in order of time.
+    pub(crate) fn integrate(&mut self, from_ns: i64, to_ns: i64) -> Option<Integral<N>> {
         let (first, last) = (self.samples.first()?, self.samples.last()?);
         if from_ns < first.stamp_ns() || last.stamp_ns() < to_ns {
             return None;
@@ -87,7 +103,7 @@ impl<'a, S: Sampled<N>, const N: usize> Signal<'a, S, N> {
         while self.samples.get(self.at + 1).is_some_and(|next| next.stamp_ns() <= from_ns) {
             self.at += 1;
         }
-        let mut stretch = Stretch { integrals: [0.0; N], largest: 0.0, missed: 0.0 };
+        let mut integral = Integral { values: [0.0; N], largest: 0.0, missed: 0.0 };
         let mut from_ns = from_ns;
         while from_ns < to_ns {
             let (before, after) = (&self.samples[self.at], &self.samples[self.at + 1]);
@@ -99,33 +115,34 @@ impl<'a, S: Sampled<N>, const N: usize> Signal<'a, S, N> {
             for (k, (before, after)) in before.values().into_iter().zip(after.values()).enumerate()
             {
                 let value = |share: f64| before + share * (after - before);
-                stretch.integrals[k] += 0.5 * (value(a) + value(b)) * dt;
-                stretch.largest = stretch.largest.max(value(a).abs()).max(value(b).abs());
+                integral.values[k] += 0.5 * (value(a) + value(b)) * dt;
+                integral.largest = integral.largest.max(value(a).abs()).max(value(b).abs());
             }
-            stretch.missed += missed(gap, self.response_secs) * dt;
+            integral.missed += missed_variance(gap, self.response_secs) * dt;
             if until_ns == after.stamp_ns() && self.at + 2 < self.samples.len() {
                 self.at += 1;
             }
             from_ns = until_ns;
         }
-        Some(stretch)
+        Some(integral)
     }
 }
 
-/// Variance per second of a rate's integral by the trapezoidal rule, for samples `gap` apart and
-/// an acceleration of density 1 \[s^2\].
+/// Variance per second of the integral of a rate by the trapezoidal rule, for samples that are
+/// `gap` \[s\] apart and an acceleration of density 1 \[s^2\].
 ///
-/// Between two samples the rate is a Brownian bridge where the acceleration is white, and the
-/// integral of the bridge has the variance gap^3 / 12. Where the acceleration is itself the
-/// integral of noise of density 1 / response, the rule's error -1/2 int t (gap - t) da has the
-/// variance gap^5 / (120 response^2). A first-order Gauss-Markov acceleration of that density
-/// looks like the first over long gaps and like the second over short ones; this joins the two.
-fn missed(gap: f64, response: f64) -> f64 {
+/// If the acceleration is white noise, the rate between two samples is a Brownian bridge, and the
+/// integral of the bridge has the variance gap^3 / 12. If the acceleration is the integral of noise
+/// of density 1 / response, the error of the rule, -1/2 int t (gap - t) da, has the variance
+/// gap^5 / (120 response^2). A first-order Gauss-Markov acceleration of that density behaves like
+/// the first case over long gaps and like the second case over short gaps. This formula blends the
+/// two.
+fn missed_variance(gap: f64, response: f64) -> f64 {
     let square = gap * gap;
     square / 12.0 * (square / (square + 10.0 * response * response))
 }
 
-/// Stretches from start to end without a sample of a source.
+/// The gaps between the samples of a source, from start to end.
 pub(crate) fn gaps<S: Sampled<N>, const N: usize>(
     samples: &[S],
     start_ns: i64,

@@ -1,33 +1,33 @@
-//! The smoother: the filter's states, corrected by all that came after.
+//! The smoother: corrects the states of the filter with all later measurements.
 //!
 //! The Rauch-Tung-Striebel estimate (Särkkä 2013, "Bayesian filtering and smoothing", th. 8.2 and
 //! alg. 9.1), computed as the modified Bryson-Frazier recursion (Bierman 1973, "Fixed interval
 //! smoothing with discrete measurements"; the same as Durbin and Koopman 2012, "Time series
-//! analysis by state space methods", sec. 4.4). Where RTS
-//! inverts the covariance predicted at every step, this carries the gradient r and the
-//! information N of all later innovations backwards:
+//! analysis by state space methods", sec. 4.4). RTS inverts the predicted covariance at every step.
+//! This recursion instead passes the gradient r and the information N of all later innovations
+//! backward:
 //!
 //! ```text
-//! smoothed mean       = m + P r          at every stamp, with the filter's m and P
+//! smoothed mean       = m + P r          at every stamp, with m and P of the filter
 //! smoothed covariance = P - P N P
 //! through a step      r := F' r                        N := F' N F
 //! through an update   r := r + h (y / s - k' r)        N := h h' / s + (1 - k h')' N (1 - k h')
 //! ```
 //!
-//! No inverse means no trouble with a certain start and with constants that no noise moves. The
-//! matrices P of all steps need not be kept either: the filter's state is kept every
-//! [`BLOCK`] steps, and block by block, the last one first, the filter runs once more.
+//! Without an inverse, an exact start and constants without process noise are no problem. It is also
+//! not necessary to store the matrix P of every step: the state of the filter is stored every
+//! [`BLOCK`] steps, and the filter runs again in each block, from the last block to the first.
 
 use nalgebra::SMatrix;
 
-use crate::Options;
 use crate::filter::{Applied, GYRO_BIAS, Matrix, POSE, State, Transition, Update, Vector};
+use crate::options::Options;
 use crate::steps::Steps;
 
-/// Steps from one kept state of 1 kB to the next; a block takes 1 MB.
+/// Number of steps between two stored states of 1 kB. A block needs 1 MB.
 const BLOCK: usize = 512;
 
-/// The pose and the gyroscope's bias at one stamp.
+/// The estimated pose and gyroscope bias at one stamp.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Estimate {
     /// x \[m\], y \[m\], heading, not wrapped \[rad\].
@@ -36,7 +36,7 @@ pub(crate) struct Estimate {
     pub(crate) gyro_bias_rad_s: f64,
 }
 
-/// The estimates at the start and after each step, and the last state.
+/// The estimates at the start and after each step, the last state, and counts of the updates.
 pub(crate) struct Path {
     pub(crate) estimates: Vec<Estimate>,
     pub(crate) last: State,
@@ -68,7 +68,7 @@ impl Estimate {
     }
 }
 
-/// Filters, and smooths where the options say so.
+/// Runs the filter, and the smoother if the options ask for it.
 pub(crate) fn estimate(options: &Options, steps: &Steps, start: dataset::Pose2) -> Path {
     let mut state = State::start(options, start);
     let (mut n_headings, mut n_heading_outliers, mut n_turn_outliers) = (0, 0, 0);
@@ -95,7 +95,8 @@ pub(crate) fn estimate(options: &Options, steps: &Steps, start: dataset::Pose2) 
     Path { estimates, last: state, n_headings, n_heading_outliers, n_turn_outliers }
 }
 
-/// Replaces the filter's estimates by the smoother's; the last one is both.
+/// Replaces the estimates of the filter by those of the smoother. The last estimate is the same in
+/// both.
 fn smooth(options: &Options, steps: &Steps, kept: &[State], estimates: &mut [Estimate]) {
     let mut later = Later { gradient: Vector::zeros(), information: Matrix::zeros() };
     let mut block: Vec<(State, Applied)> = Vec::with_capacity(BLOCK);
@@ -104,7 +105,7 @@ fn smooth(options: &Options, steps: &Steps, kept: &[State], estimates: &mut [Est
         let mut state = *start;
         block.clear();
         for step in steps.steps[first..].iter().take(BLOCK) {
-            // The state before the step and what the step did.
+            // Store the state before the step and the operations of the step.
             let before = state;
             block.push((before, state.step(options, &steps.windows, step)));
         }
@@ -117,7 +118,7 @@ fn smooth(options: &Options, steps: &Steps, kept: &[State], estimates: &mut [Est
     }
 }
 
-/// What all later innovations say of a state.
+/// The gradient and the information of all later innovations.
 struct Later {
     gradient: Vector,
     information: Matrix,
@@ -142,8 +143,9 @@ impl Later {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{ImuSample, WheelSample, steps::steps};
-    use dataset::{Dropped, Pose2};
+    use crate::samples::{ImuSample, WheelSample};
+    use crate::steps::steps;
+    use dataset::{Losses, Pose2};
 
     fn options() -> Options {
         Options {
@@ -155,9 +157,9 @@ mod tests {
         }
     }
 
-    /// 60 s of a drive in bends, without noise but with a bias and a heading that is off: longer
-    /// than a block.
-    fn bends() -> Steps {
+    /// 60 s of a curved drive without noise, with a gyroscope bias and an error of the measured
+    /// heading. It is longer than a block.
+    fn curved_drive() -> Steps {
         let stamp_ns = |k: i64, hz: i64| 1_000_000_000 * k / hz;
         let wheels: Vec<_> = (0..1200)
             .map(|k| WheelSample {
@@ -173,18 +175,18 @@ mod tests {
                 heading_rad: Some(dataset::wrap_angle(0.005 * k as f64)),
             })
             .collect();
-        steps(&options(), &wheels, &imu, None, &mut Dropped::default()).unwrap()
+        steps(&options(), &wheels, &imu, None, &mut Losses::default()).unwrap()
     }
 
-    /// The textbook's recursion, with the inverse (Särkkä 2013, alg. 9.1):
+    /// The recursion of the textbook, with the inverse (Särkkä 2013, alg. 9.1):
     /// G = P F' P-^-1, m_s = m + G (m_s+ - m-), P_s = P + G (P_s+ - P-) G'.
     #[test]
-    fn the_recursion_without_an_inverse_is_rauch_tung_striebel() {
-        let (options, steps) = (options(), bends());
+    fn the_smoother_gives_the_rauch_tung_striebel_estimate() {
+        let (options, steps) = (options(), curved_drive());
         let path = estimate(&options, &steps, Pose2::default());
         assert!(2 * BLOCK < steps.steps.len());
 
-        // Each step once more in its three parts.
+        // Repeat each step in its three parts.
         let mut state = State::start(&options, Pose2::default());
         state.measure_heading(&options, steps.start_heading_rad.unwrap());
         let mut passed = Vec::new();
@@ -221,12 +223,12 @@ mod tests {
         }
     }
 
-    /// F by central differences of the step itself.
+    /// Compares F with central differences of the step.
     #[test]
     fn the_transition_is_the_derivative_of_the_step() {
-        let (options, steps) = (options(), bends());
+        let (options, steps) = (options(), curved_drive());
         let mut state = State::start(&options, Pose2 { x_m: 1.0, y_m: 2.0, heading_rad: 0.4 });
-        // All parameters away from 0; nothing measured, so that only the prediction acts.
+        // All parameters differ from 0. Without measurements only the prediction is tested.
         for (k, value) in [0.02, -0.03, 0.01, 0.04, 0.1, 0.2, 0.03, -0.02].into_iter().enumerate() {
             state.mean[POSE + k] = value;
         }
@@ -234,7 +236,7 @@ mod tests {
         (step.window, step.heading_rad) = (None, None);
         step.motion.dt = 0.5;
         step.motion.distance_m *= 10.0;
-        step.motion.variance.turn_gyro = step.motion.variance.turn_wheels; // half weight each
+        step.motion.variance.turn_gyro = step.motion.variance.turn_wheels; // equal weights
         let moved = |nudge: &Vector| {
             let mut state = state;
             state.mean += nudge;
@@ -246,9 +248,9 @@ mod tests {
             let mut nudge = Vector::zeros();
             nudge[column] = 1e-5;
             let slope = (moved(&nudge).0 - moved(&-nudge).0) / 2e-5;
-            // The turn's derivative is taken at the mean of both turns, not at the wheels' own.
-            let mean_for_own = matches!(column, 4 | 6);
-            let tolerance = if mean_for_own { 0.05 } else { 1e-8 };
+            // The filter evaluates these derivatives at the mean turn, not at the turn of the wheels.
+            let is_at_mean_turn = matches!(column, 4 | 6);
+            let tolerance = if is_at_mean_turn { 0.05 } else { 1e-8 };
             let error = (slope - f.column(column)).amax();
             assert!(error < tolerance, "column {column}: {error}");
         }

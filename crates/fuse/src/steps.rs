@@ -1,75 +1,78 @@
-//! Samples -> steps: what the sensors say of the motion between two stamps.
+//! Samples -> steps: the motion that the sensors measure between two stamps.
 
-use dataset::Dropped;
+use dataset::{LossKind, Losses};
 
-use crate::signal::{Signal, Stretch, gaps, in_order, seconds};
-use crate::{FuseError, Gaps, ImuSample, Options, WheelSample};
+use crate::error::FuseError;
+use crate::options::Options;
+use crate::samples::{ImuSample, WheelSample};
+use crate::signal::{Gaps, Integral, Signal, gaps, in_order, seconds};
 
-/// No step is longer than this where IMU samples can divide it \[s\]: the speed is held constant
-/// along an arc.
+/// Longest step \[s\]: longer steps are divided at IMU samples, because the speed is constant along
+/// the arc of a step.
 const MAX_STEP_SECS: f64 = 0.05;
 
-/// Gyroscope and wheels are compared over this time \[s\]: long beside their samples, so that
-/// the turn stands out of the noise, and short beside the walk of the bias.
+/// Gyroscope and wheels are compared over windows of this length \[s\]. It is much longer than a
+/// sample period, to average the noise, and much shorter than the time in which the bias changes.
 const WINDOW_SECS: f64 = 1.0;
 
-/// From the stamp before to this one.
+/// The motion from the previous stamp to this one.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Step {
     /// End of the step \[ns\].
     pub(crate) stamp_ns: i64,
     pub(crate) motion: Motion,
-    /// Heading measured at the end of the step, where one is used \[rad\].
+    /// Heading measured at the end of the step, if one is used there \[rad\].
     pub(crate) heading_rad: Option<f64>,
-    /// The window that ends with the step, of [`Steps::windows`].
+    /// Index in [`Steps::windows`] of the window that ends with this step.
     pub(crate) window: Option<usize>,
-    /// A pose is asked for at the end of the step.
+    /// Whether the result has a pose at the end of the step.
     pub(crate) is_output: bool,
 }
 
-/// A motion as measured; motions one after the other add up.
+/// A measured motion. Consecutive motions can be added.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Motion {
     /// \[s\]
     pub(crate) dt: f64,
-    /// Path of the middle between the wheels \[m\].
+    /// Path of the midpoint between the wheels \[m\].
     pub(crate) distance_m: f64,
-    /// Path of the right wheel less that of the left one \[m\].
+    /// Path of the right wheel minus path of the left wheel \[m\].
     pub(crate) difference_m: f64,
-    /// Integral of the yaw rate, bias included; none where the IMU has no samples \[rad\].
+    /// Integral of the yaw rate, including the bias; `None` without IMU samples \[rad\].
     pub(crate) turn_rad: Option<f64>,
-    /// Variances of what is above.
+    /// Variances of the values above.
     pub(crate) variance: Variance,
-    /// Both wheels stand still.
+    /// Whether both wheels stand still.
     pub(crate) is_still: bool,
 }
 
-/// Variances of a motion. What the samples miss of the motion between them is an error that the
-/// two sources share as far as both miss it.
+/// Variances of a motion. Sampling misses part of the motion between two samples. The part that
+/// both sources miss is an error that they share.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Variance {
-    /// Of the distance forward \[m^2\].
+    /// Of the forward distance \[m^2\].
     pub(crate) along: f64,
-    /// Of the distance sideways \[m^2\].
+    /// Of the sideways distance \[m^2\].
     pub(crate) aside: f64,
-    /// Of the turn by the wheels alone \[rad^2\].
+    /// Of the turn measured by the wheels, without the shared part \[rad^2\].
     pub(crate) turn_wheels: f64,
-    /// Of the turn by the gyroscope alone; infinite where there is none \[rad^2\].
+    /// Of the turn measured by the gyroscope, without the shared part; infinite without a gyroscope
+    /// \[rad^2\].
     pub(crate) turn_gyro: f64,
-    /// Of the turn, missed by both \[rad^2\].
+    /// Of the part of the turn that both sources miss \[rad^2\].
     pub(crate) turn_both: f64,
 }
 
-/// Everything that [`steps`] makes of the samples.
+/// The result of [`steps`].
 pub(crate) struct Steps {
-    /// The first stamp; the steps start there.
+    /// Stamp at which the first step starts.
     pub(crate) start_ns: i64,
-    /// A pose is asked for at the first stamp.
+    /// Whether the result has a pose at the first stamp.
     pub(crate) is_start_output: bool,
-    /// The heading measured at the first stamp, where there is one \[rad\].
+    /// Heading measured at the first stamp, if there is one \[rad\].
     pub(crate) start_heading_rad: Option<f64>,
     pub(crate) steps: Vec<Step>,
-    /// Motions over which gyroscope and wheels are compared.
+    /// Motions for which gyroscope and wheels are compared.
     pub(crate) windows: Vec<Motion>,
     pub(crate) n_wheel_samples: usize,
     pub(crate) n_imu_samples: usize,
@@ -77,26 +80,27 @@ pub(crate) struct Steps {
     pub(crate) imu_gaps: Gaps,
 }
 
-/// From stamp to stamp of the wheels, and of `outputs` where given.
+/// Computes the steps between consecutive wheel stamps and `outputs`, the stamps at which poses are
+/// requested.
 pub(crate) fn steps(
     options: &Options,
     wheels: &[WheelSample],
     imu: &[ImuSample],
     outputs: Option<&[i64]>,
-    dropped: &mut Dropped,
+    losses: &mut Losses,
 ) -> Result<Steps, FuseError> {
-    let wheels = in_order(wheels, "wheel", dropped);
-    let imu = in_order(imu, "imu", dropped);
+    let wheels = in_order(wheels, losses);
+    let imu = in_order(imu, losses);
     let (start_ns, end_ns) = match &wheels[..] {
         [first, .., last] => (first.stamp_ns, last.stamp_ns),
         few => {
-            let (found, dropped) = (few.len(), dropped.clone());
-            return Err(FuseError::TooFewWheelSamples { found, dropped });
+            let (found, losses) = (few.len(), losses.clone());
+            return Err(FuseError::TooFewWheelSamples { found, losses });
         }
     };
     let outputs = match outputs {
         None => wheels.iter().map(|sample| sample.stamp_ns).collect(),
-        Some(stamps) => within(stamps, start_ns, end_ns, dropped),
+        Some(stamps) => within(stamps, start_ns, end_ns, losses),
     };
     let stamps = stamps_of_steps(&wheels, &imu, &outputs);
     let mut headings = Headings::new(&imu, options);
@@ -110,7 +114,7 @@ pub(crate) fn steps(
         let (from_ns, to_ns) = (ends[0], ends[1]);
         let wheels = wheel_signal
             .integrate(from_ns, to_ns)
-            .expect("steps lie between the first and the last wheel sample");
+            .expect("every step is between the first and the last wheel sample");
         let gyro = gyro_signal.integrate(from_ns, to_ns);
         Step {
             stamp_ns: to_ns,
@@ -136,13 +140,13 @@ pub(crate) fn steps(
 }
 
 impl Motion {
-    fn new(options: &Options, dt: f64, wheels: &Stretch<2>, gyro: Option<&Stretch<1>>) -> Self {
+    fn new(options: &Options, dt: f64, wheels: &Integral<2>, gyro: Option<&Integral<1>>) -> Self {
         let square = |value: f64| value * value;
-        let [left, right] = wheels.integrals.map(|path_m| options.wheel_scale * path_m);
+        let [left, right] = wheels.values.map(|path_m| options.wheel_scale * path_m);
         let distance_m = 0.5 * (left + right);
         let is_still = wheels.largest <= options.still_m_per_s;
 
-        // Both wheels alike, each by noise in time and slip along its path.
+        // The variance of one wheel: noise that grows with time and slip that grows with the path.
         let wheel = match is_still {
             true => 0.0,
             false => {
@@ -156,7 +160,7 @@ impl Motion {
             dt,
             distance_m,
             difference_m: right - left,
-            turn_rad: gyro.map(|gyro| gyro.integrals[0]),
+            turn_rad: gyro.map(|gyro| gyro.values[0]),
             variance: Variance {
                 along: 0.5 * wheel + square(options.acceleration_density) * wheels.missed,
                 aside: square(options.side_slip) * distance_m.abs(),
@@ -171,9 +175,9 @@ impl Motion {
         }
     }
 
-    /// This motion and the next one, where they compare gyroscope and wheels under the same
-    /// conditions.
-    fn and(&self, next: &Self) -> Option<Self> {
+    /// The sum of this motion and the next one. It is `None` if one of them has no gyroscope turn,
+    /// or if only one of them is at standstill.
+    fn plus(&self, next: &Self) -> Option<Self> {
         let turn_rad = self.turn_rad? + next.turn_rad?;
         (self.is_still == next.is_still).then_some(Self {
             dt: self.dt + next.dt,
@@ -192,14 +196,14 @@ impl Motion {
     }
 }
 
-/// Joins steps to windows and tells each step that ends one.
+/// Combines steps to windows and stores the index of each window in its last step.
 fn windows(steps: &mut [Step]) -> Vec<Motion> {
     let mut windows: Vec<Motion> = Vec::new();
-    // The last of the windows may still grow; it ends with the step before.
+    // Whether the last window can still grow. It ends with the previous step.
     let mut is_open = false;
     for k in 0..steps.len() {
         let motion = steps[k].motion;
-        let grown = windows.last().filter(|_| is_open).and_then(|window| window.and(&motion));
+        let grown = windows.last().filter(|_| is_open).and_then(|window| window.plus(&motion));
         match (grown, windows.last_mut()) {
             (Some(grown), Some(window)) => {
                 *window = grown;
@@ -216,22 +220,22 @@ fn windows(steps: &mut [Step]) -> Vec<Motion> {
     windows
 }
 
-/// The stamps that can have a pose, ascending.
-fn within(stamps: &[i64], start_ns: i64, end_ns: i64, dropped: &mut Dropped) -> Vec<i64> {
+/// The requested stamps within the wheel samples, in ascending order.
+fn within(stamps: &[i64], start_ns: i64, end_ns: i64, losses: &mut Losses) -> Vec<i64> {
     let n = |is_out: &dyn Fn(i64) -> bool| stamps.iter().filter(|&&s| is_out(s)).count() as u64;
-    dropped.add("stamps before the first wheel sample", n(&|s| s < start_ns));
-    dropped.add("stamps after the last wheel sample", n(&|s| end_ns < s));
+    losses.add(LossKind::StampsBeforeWheels, n(&|s| s < start_ns));
+    losses.add(LossKind::StampsAfterWheels, n(&|s| end_ns < s));
     let mut kept: Vec<i64> =
         stamps.iter().copied().filter(|s| (start_ns..=end_ns).contains(s)).collect();
     kept.sort_unstable();
     let before = kept.len();
     kept.dedup();
-    dropped.add("stamps asked for twice", (before - kept.len()) as u64);
+    losses.add(LossKind::DuplicateRequestedStamps, (before - kept.len()) as u64);
     kept
 }
 
-/// The stamps of the wheels and the outputs, and of so many IMU samples between that no step is
-/// long.
+/// The stamps of the wheel samples, of the outputs, and of enough IMU samples between them to keep
+/// every step short.
 fn stamps_of_steps(wheels: &[WheelSample], imu: &[ImuSample], outputs: &[i64]) -> Vec<i64> {
     let mut stamps: Vec<i64> = wheels.iter().map(|sample| sample.stamp_ns).collect();
     let end_ns = stamps[stamps.len() - 1];
@@ -256,7 +260,7 @@ fn stamps_of_steps(wheels: &[WheelSample], imu: &[ImuSample], outputs: &[i64]) -
     stamps
 }
 
-/// The measured headings, thinned.
+/// The measured headings, at most one per `every_secs`.
 struct Headings<'a> {
     samples: &'a [ImuSample],
     every_secs: f64,
@@ -270,8 +274,9 @@ impl<'a> Headings<'a> {
         Self { samples, every_secs, max_gap_secs, last_ns: None }
     }
 
-    /// The heading at a stamp, along the shorter arc between the two samples around it; none where
-    /// one of them has none, they are far apart or the last one used is near.
+    /// The heading at a stamp, interpolated along the shorter arc between the two samples around it.
+    /// It is `None` if one of the two samples has no heading, if they are more than `max_gap_secs`
+    /// apart, or if the last heading was used less than `every_secs` ago.
     fn at(&mut self, stamp_ns: i64) -> Option<f64> {
         if self.last_ns.is_some_and(|last| seconds(last, stamp_ns) < self.every_secs) {
             return None;

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::io::Cursor;
 
-use fuse::{ImuSample, Inertial, WheelSample, fuse};
+use fuse::{ImuSample, InertialReading, WheelSample, fuse};
 use messages::{Source, read_velodyne};
 use simulate::{
     Campus, Drive, Lasers, Material, Options, PACKETS_TOPIC, Point, Surface, readings, write_drive,
@@ -191,9 +191,9 @@ fn fused_poses_stay_within_half_a_percent_of_the_distance() {
                     right_m_per_s: reading.velocities[1],
                 })
                 .collect();
-            let inertial: Vec<Inertial> = imu
+            let inertial: Vec<InertialReading> = imu
                 .iter()
-                .map(|reading| Inertial {
+                .map(|reading| InertialReading {
                     stamp_ns: reading.stamp_ns,
                     angular_velocity: reading.angular_velocity,
                     acceleration: reading.linear_acceleration,

@@ -1,39 +1,36 @@
-//! Robots with known paths and noise, for tests and the benchmark.
+//! Simulated robots with known paths and known noise, for tests and the benchmark.
 
-#![allow(dead_code, reason = "each binary uses its part")]
+#![allow(dead_code, reason = "each test binary uses only a part of it")]
 
-use dataset::Pose2;
+use dataset::{Pose2, SplitMix64};
 use fuse::{FusedPose, ImuSample, Options, WheelSample};
 
-/// SplitMix64 (Steele, Lea and Flood 2014) and Box and Muller (1958).
-pub struct Random(pub u64);
+/// Normally distributed numbers (Box and Muller 1958).
+pub struct Normal(SplitMix64);
 
-impl Random {
-    fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+impl Normal {
+    pub fn new(seed: u64) -> Self {
+        Self(SplitMix64::new(seed))
     }
 
-    pub fn normal(&mut self) -> f64 {
-        let radius = (-2.0 * libm::log(1.0 - self.unit())).sqrt();
-        radius * libm::cos(std::f64::consts::TAU * self.unit())
+    /// The next number, with mean 0 and standard deviation 1.
+    pub fn next(&mut self) -> f64 {
+        let radius = (-2.0 * libm::log(1.0 - self.0.unit())).sqrt();
+        radius * libm::cos(std::f64::consts::TAU * self.0.unit())
     }
 }
 
-/// Times of the samples and the speeds driven.
+/// The speeds of a drive and the rates of the samples.
 pub struct Drive {
     pub secs: f64,
     pub wheel_hz: f64,
     pub imu_hz: f64,
-    /// Time \[s\] -> forward speed \[m/s\] and yaw rate \[rad/s\].
+    /// Function of time \[s\] that gives forward speed \[m/s\] and yaw rate \[rad/s\].
     pub twist: fn(f64) -> (f64, f64),
     pub has_heading: bool,
 }
 
-/// What the sensors got wrong for good.
+/// Constant errors of the sensors.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Errors {
     pub gyro_bias: f64,
@@ -54,12 +51,13 @@ pub fn stamp_ns(secs: f64) -> i64 {
     1_700_000_000_000_000_000 + (secs * 1e9).round() as i64
 }
 
-/// Drives with the noise that the options promise; `noise` 0 takes the white part of it away.
+/// Simulates a drive with the noise given in the options, multiplied by `noise`. With 0 only the
+/// constant errors remain.
 pub fn drive(options: &Options, drive: &Drive, errors: Errors, noise: f64, seed: u64) -> Logged {
-    let mut random = Random(seed);
-    let mut normal = |std: f64| if noise > 0.0 { noise * std * random.normal() } else { 0.0 };
+    let mut random = Normal::new(seed);
+    let mut normal = |std: f64| if noise > 0.0 { noise * std * random.next() } else { 0.0 };
     let track_m = options.track_m / (1.0 + errors.track);
-    // The truth by many small arcs, with slip to the side.
+    // The true path consists of many small arcs with sideways slip.
     let n_wheels = (drive.secs * drive.wheel_hz).round() as usize + 1;
     let per_wheel = 20;
     let dt = 1.0 / (drive.wheel_hz * per_wheel as f64);
@@ -115,24 +113,25 @@ pub fn drive(options: &Options, drive: &Drive, errors: Errors, noise: f64, seed:
     Logged { imu: imu.collect(), wheels, truth }
 }
 
-/// A campus-like drive: bends, straights, at rest for the first 10 s and from 60 s to 70 s.
+/// A drive with curves and straight parts. It is at standstill for the first 10 s and from 60 s to
+/// 70 s.
 pub fn winding(t: f64) -> (f64, f64) {
-    // 0 at rest, 1 in motion, smooth over 2 s between.
+    // 0 at standstill, 1 in motion, with a smooth change over 2 s.
     let ramp = |since: f64| {
         let share = (since / 2.0).clamp(0.0, 1.0);
         share * share * (3.0 - 2.0 * share)
     };
     let share = ramp(t - 10.0).min(ramp(60.0 - t).max(ramp(t - 70.0)));
-    let (v, w) = winding_on(t);
+    let (v, w) = winding_without_stops(t);
     (share * v, share * w)
 }
 
-/// The same without a stop.
-pub fn winding_on(t: f64) -> (f64, f64) {
+/// The same drive without stops.
+pub fn winding_without_stops(t: f64) -> (f64, f64) {
     (1.2 + 0.4 * libm::sin(0.2 * t), 0.5 * libm::sin(0.31 * t))
 }
 
-/// Squared error over its covariance, e' P^-1 e.
+/// Normalized estimation error squared: e' P^-1 e.
 pub fn nees(fused: &FusedPose, truth: &Pose2) -> f64 {
     let e = [
         fused.pose.x_m - truth.x_m,
@@ -140,7 +139,7 @@ pub fn nees(fused: &FusedPose, truth: &Pose2) -> f64 {
         dataset::wrap_angle(fused.pose.heading_rad - truth.heading_rad),
     ];
     let [xx, xy, xh, yy, yh, hh] = fused.covariance;
-    // Cholesky of the 3x3, forward substitution.
+    // Cholesky factorization of the 3x3 matrix, then forward substitution.
     let a = xx.sqrt();
     let (b, c) = (xy / a, xh / a);
     let d = (yy - b * b).sqrt();

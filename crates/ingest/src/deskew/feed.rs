@@ -1,9 +1,8 @@
 //! How the lidar moves, told while the log is being read: what straightens its scans.
 
 use dataset::{Pose2, StampedPose};
-use fuse::WheelSample;
+use fuse::{DeadReckoning, GravityEstimate, WheelSample};
 
-use crate::deskew::dead_reckoning::DeadReckoning;
 use crate::deskew::motion::Track;
 use crate::pose::frames::TransformHistory;
 use crate::pose::readings::Motion;
@@ -20,8 +19,12 @@ enum How {
     Poses,
     /// By the transforms between frames, which have been followed to a stamp.
     Frames(Frames, i64),
-    /// By wheels, with the last positions of theirs, and the sum of the accelerations so far.
-    Wheels { reckoning: DeadReckoning, position: Option<(i64, f64, f64)>, sum: [f64; 3], n: u32 },
+    /// By dead reckoning; `position` is the last one of the wheels.
+    Wheels {
+        dead_reckoning: DeadReckoning,
+        position: Option<(i64, f64, f64)>,
+        gravity: GravityEstimate,
+    },
 }
 
 impl Follower {
@@ -29,10 +32,11 @@ impl Follower {
         let how = match (&options.frames, &options.wheels) {
             (Some(frames), _) => How::Frames(frames.clone(), i64::MIN),
             (None, Some(_)) => How::Wheels {
-                reckoning: DeadReckoning::new(options.track_m.filter(|_| options.imu.is_none())),
+                dead_reckoning: DeadReckoning::new(
+                    options.track_m.filter(|_| options.imu.is_none()),
+                ),
                 position: None,
-                sum: [0.0; 3],
-                n: 0,
+                gravity: GravityEstimate::default(),
             },
             (None, None) => How::Poses,
         };
@@ -50,37 +54,22 @@ impl Follower {
                 poses.iter().for_each(&mut push);
                 *followed_ns = poses.last().map_or(*followed_ns, |pose| pose.stamp_ns);
             }
-            How::Wheels { reckoning, position, sum, n } => {
+            How::Wheels { dead_reckoning, position, gravity } => {
                 let positions: Vec<_> = position.iter().chain(&next.positions).copied().collect();
                 *position = positions.last().copied();
                 let speeds = WheelSample::from_positions(&positions);
-                next.speeds.iter().chain(&speeds).for_each(|&wheels| reckoning.add_wheels(wheels));
+                (next.speeds.iter().chain(&speeds))
+                    .for_each(|&wheels| dead_reckoning.add_wheels(wheels));
                 for reading in &next.imu {
                     if let Some(acceleration) = reading.acceleration {
-                        *n += 1;
-                        *sum = std::array::from_fn(|axis| sum[axis] + acceleration[axis]);
+                        gravity.add(acceleration);
                     }
-                    let up = up(sum.map(|v| v / f64::from((*n).max(1))));
-                    let rates = reading.angular_velocity.iter().zip(up);
-                    reckoning
+                    let rates = reading.angular_velocity.iter().zip(gravity.up());
+                    dead_reckoning
                         .add_yaw_rate(reading.stamp_ns, rates.map(|(rate, up)| rate * up).sum());
                 }
-                reckoning.advance().iter().for_each(push);
+                dead_reckoning.advance().iter().for_each(push);
             }
         }
-    }
-}
-
-/// Standard gravity \[m/s^2\], and how far a mean acceleration may be from it to be it.
-const GRAVITY_M_S2: f64 = 9.80665;
-const GRAVITY_TOLERANCE: f64 = 0.1;
-
-/// The direction up in the IMU's frame, of length 1: that of the mean acceleration where this is
-/// gravity, else, for drivers that take it out, the z axis.
-fn up(mean: [f64; 3]) -> [f64; 3] {
-    let norm = mean.iter().map(|v| v * v).sum::<f64>().sqrt();
-    match (norm / GRAVITY_M_S2 - 1.0).abs() < GRAVITY_TOLERANCE {
-        true => mean.map(|v| v / norm),
-        false => [0.0, 0.0, 1.0],
     }
 }

@@ -1,7 +1,7 @@
 //! Readings of the robot's motion, as a log gives them.
 
 use dataset::StampedPose;
-use fuse::{Inertial, WheelSample};
+use fuse::{InertialReading, WheelSample};
 use messages::{
     MessageType, NavSatFix, Source, read_imu, read_joint_state, read_nav_sat_fix, read_odometry,
     read_transforms,
@@ -146,8 +146,8 @@ impl Motion {
 }
 
 impl ImuReading {
-    pub(crate) fn inertial(&self) -> Inertial {
+    pub(crate) fn inertial(&self) -> InertialReading {
         let &Self { stamp_ns, angular_velocity, acceleration, .. } = self;
-        Inertial { stamp_ns, angular_velocity, acceleration }
+        InertialReading { stamp_ns, angular_velocity, acceleration }
     }
 }

@@ -2,7 +2,7 @@
 //! satellite fixes, or fused from wheels and IMU.
 
 use dataset::{Dropped, Pose2, StampedPose, Trajectory};
-use fuse::{Fused, ImuSample, Inertial, WheelSample};
+use fuse::{Fused, ImuSample, InertialReading, WheelSample};
 
 use crate::deskew::motion::is_jump;
 use crate::drive::topic::{Drive, Topic};
@@ -100,7 +100,7 @@ impl Motion {
                     source,
                 })?;
                 notes.push(told(&fused));
-                dropped.merge(fused.report.dropped.clone());
+                dropped.merge(fused.report.losses.clone().into());
                 let pose = |p: &fuse::FusedPose| StampedPose {
                     stamp_ns: p.stamp_ns,
                     pose: p.pose,
@@ -136,7 +136,7 @@ impl Motion {
     fn fuse(self, options: &PoseOptions) -> Result<Fused, fuse::FuseError> {
         let mut wheels = self.speeds;
         wheels.extend(WheelSample::from_positions(&self.positions));
-        let readings: Vec<Inertial> = self.imu.iter().map(ImuReading::inertial).collect();
+        let readings: Vec<InertialReading> = self.imu.iter().map(ImuReading::inertial).collect();
         let yaw_rates = fuse::yaw_rates_rad_s(&readings, &wheels);
         let imu: Vec<ImuSample> = (self.imu.iter().zip(yaw_rates))
             .map(|(reading, yaw_rate_rad_s)| ImuSample {

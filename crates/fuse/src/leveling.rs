@@ -1,56 +1,54 @@
-//! The yaw rate of an IMU that leans: mounted tilted, on a base that pitches, on a slope.
+//! The yaw rate of an IMU that is not level: mounted tilted, on a base that pitches, on a slope.
 
-use dataset::Dropped;
+use dataset::Losses;
 use nalgebra::Vector3;
 
-use crate::WheelSample;
+use crate::gravity::is_gravity;
+use crate::samples::WheelSample;
 use crate::signal::{in_order, seconds};
 
-/// Standard gravity \[m/s^2\].
-const GRAVITY_M_S2: f64 = 9.80665;
-/// How far the middle one of all accelerations may be from gravity to be that, relative.
-const GRAVITY_TOLERANCE: f64 = 0.1;
-/// The accelerations tell the direction up as their mean over about this long \[s\]; what is
-/// faster the angular velocities tell. A guess between two evils: accelerations that the wheels do
-/// not tell, and a bias not yet known, of which 1e-3 rad/s is 0.6 deg in 10 s.
+/// Time constant \[s\] of the direction up: slower changes come from the accelerations, faster
+/// changes from the angular velocities. The value is a compromise (a guess). A short time follows
+/// accelerations that the wheels do not measure. A long time follows a gyroscope bias that is not
+/// yet known: 1e-3 rad/s is 0.6 deg in 10 s.
 const MEMORY_SECS: f64 = 10.0;
-/// A change of speed is taken over this \[s\]: steps of 0.025 m/s, of encoders that count 0.5 mm at
-/// 50 Hz, are 0.05 m/s^2 then, and robots take longer to stop.
+/// Changes of speed are computed over this time \[s\]. Encoders that count 0.5 mm at 50 Hz have
+/// speed steps of 0.025 m/s, which are 0.05 m/s^2 over this time. Robots need longer to stop.
 const CHANGE_SECS: f64 = 0.5;
-/// Rounds, there and back, that find bias and forward direction: the first one takes some of the
-/// accelerations for a lean.
+/// Number of rounds, forward and backward, that estimate the bias and the forward direction. In
+/// the first round some accelerations are still mistaken for tilt.
 const ROUNDS: usize = 2;
 
-/// What an IMU measures, in its own frame.
+/// The measurements of an IMU in its own frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Inertial {
+pub struct InertialReading {
     /// \[ns since the epoch\]
     pub stamp_ns: i64,
     /// \[rad/s\]
     pub angular_velocity: [f64; 3],
-    /// Specific force, which at rest is the reaction to gravity and points up; none where the IMU
-    /// has no accelerometer \[m/s^2\].
+    /// Specific force \[m/s^2\]. At rest it is the reaction to gravity and points up. `None` if the
+    /// IMU has no accelerometer.
     pub acceleration: Option<[f64; 3]>,
 }
 
-/// Rate about the vertical of every reading \[rad/s\]: the projection of the angular velocity on
-/// the direction up, for any mounting of the IMU.
+/// Computes the rate about the vertical for every reading \[rad/s\]: the projection of the angular
+/// velocity on the direction up. The IMU can be mounted in any orientation.
 ///
-/// The direction up is carried from reading to reading by the angular velocity and drawn to the
-/// direction of the acceleration, which also tells the gyroscope's bias across it (Mahony, Hamel
-/// and Pflimlin 2008, "Nonlinear complementary filters on the special orthogonal group", their
-/// explicit filter with bias, eq. 32, of one direction). Of the acceleration is taken off first
-/// what the wheels say: the change of speed forward and speed times yaw rate to the left. This runs
-/// through the drive and back for the bias and for where forward is, and the direction used is the
-/// mean of the last way back and one more way there, so that errors before and after cancel.
+/// The angular velocity rotates the direction up from reading to reading, and the measured
+/// acceleration pulls it back to the vertical. The same correction estimates the horizontal part of
+/// the gyroscope bias (Mahony, Hamel and Pflimlin 2008, "Nonlinear complementary filters on the
+/// special orthogonal group", their explicit filter with bias, eq. 32, for one direction). Before
+/// that, the acceleration that the wheels measure is subtracted: the change of speed forward, and
+/// speed times yaw rate to the left. The filter runs forward and backward through the drive to
+/// estimate the bias and the forward direction. The final direction up is the mean of the last
+/// backward pass and one more forward pass, so errors of the two passes cancel.
 ///
-/// A balancing base needs all this: it leans into every acceleration by as much as hides the lean
-/// from its accelerometer, and a direction up that is the same for the whole drive misses
-/// 1 - cos(lean) of every turn.
+/// A balancing base needs this correction. It leans into every acceleration, by an angle that hides
+/// the lean from its accelerometer. A constant direction up would lose 1 - cos(lean) of every turn.
 ///
-/// Where the accelerations are not gravity, as of drivers that take it out, or there are none, up
-/// is the z axis.
-pub fn yaw_rates_rad_s(readings: &[Inertial], wheels: &[WheelSample]) -> Vec<f64> {
+/// If the accelerations do not contain gravity (some drivers remove it), or if there are none, the
+/// direction up is the z axis.
+pub fn yaw_rates_rad_s(readings: &[InertialReading], wheels: &[WheelSample]) -> Vec<f64> {
     if !has_gravity(readings) {
         return readings.iter().map(|reading| reading.angular_velocity[2]).collect();
     }
@@ -70,7 +68,7 @@ pub fn yaw_rates_rad_s(readings: &[Inertial], wheels: &[WheelSample]) -> Vec<f64
         }
         level.forward = forward(readings, &speeds, &ups, &level.bias);
     }
-    // The bias about the vertical is not for gravity to tell.
+    // Gravity does not observe the bias about the vertical.
     let mean_up = ups.iter().sum::<Vector3<f64>>().try_normalize(f64::EPSILON).unwrap_or(level.up);
     let mut rates = Vec::with_capacity(n);
     for k in 0..n {
@@ -84,35 +82,36 @@ pub fn yaw_rates_rad_s(readings: &[Inertial], wheels: &[WheelSample]) -> Vec<f64
     rates
 }
 
-/// What is known at a reading, in the IMU's frame.
+/// The state of the leveling filter at a reading, in the IMU frame.
 struct Level {
-    /// Of length 1.
+    /// Unit vector.
     up: Vector3<f64>,
-    /// Of the gyroscope, across the direction up only \[rad/s\].
+    /// Gyroscope bias, only its part perpendicular to the direction up \[rad/s\].
     bias: Vector3<f64>,
-    /// Where forward is: along the two axes of [`level_axes`]. Its length is 1 where accelerations
-    /// and wheels agree, and less where they do not.
+    /// Forward direction, along the two axes of [`level_axes`]. Its length is 1 if accelerations and
+    /// wheels agree, and less if they do not.
     forward: [f64; 2],
 }
 
 impl Level {
-    /// On to the next reading, or back to the one before: a direction that stands still turns
-    /// against the IMU. One lost to a gap is taken from the acceleration.
-    fn step(&mut self, from: &Inertial, to: &Inertial, speed: &Speed) {
+    /// Moves the state to the next or the previous reading. The vertical is fixed in the world, so
+    /// in the IMU frame it rotates against the angular velocity. After a gap the direction up comes
+    /// from the acceleration.
+    fn step(&mut self, from: &InertialReading, to: &InertialReading, speed: &Speed) {
         let dt = seconds(from.stamp_ns, to.stamp_ns);
         let mean = 0.5 * (rate(from) + rate(to)) - self.bias;
-        self.up = turned(&self.up, &(-dt * mean));
+        self.up = rotated(&self.up, &(-dt * mean));
         if let Some(measured) = self.measured_up(to, speed) {
             let gain = 1.0 - libm::exp(-dt.abs() / MEMORY_SECS);
-            let drawn = self.up + gain * (measured - self.up);
-            // Critically damped: the square of half the filter's own rate.
+            let pulled = self.up + gain * (measured - self.up);
+            // Critically damped: the gain is the square of half the rate of the filter.
             let rate = 0.5 / MEMORY_SECS;
             self.bias += dt.clamp(-1.0, 1.0) * rate * rate * self.up.cross(&measured);
-            self.up = drawn.try_normalize(f64::EPSILON).unwrap_or(measured);
+            self.up = pulled.try_normalize(f64::EPSILON).unwrap_or(measured);
         }
     }
 
-    fn measured_up(&self, reading: &Inertial, speed: &Speed) -> Option<Vector3<f64>> {
+    fn measured_up(&self, reading: &InertialReading, speed: &Speed) -> Option<Vector3<f64>> {
         let [e, n] = level_axes(&self.up);
         let forward = self.forward[0] * e + self.forward[1] * n;
         let leftward = speed.m_s * (rate(reading) - self.bias).dot(&self.up);
@@ -121,16 +120,17 @@ impl Level {
     }
 }
 
-/// Speed of the middle between the wheels.
+/// Speed of the midpoint between the wheels.
 struct Speed {
     m_s: f64,
     change_m_s2: f64,
 }
 
-/// At the readings; changes are means over [`CHANGE_SECS`], which encoders resolve. Beyond the
-/// wheels' samples the speed is that of the nearest one, without any 0.
-fn speeds(readings: &[Inertial], wheels: &[WheelSample]) -> Vec<Speed> {
-    let wheels = in_order(wheels, "wheel", &mut Dropped::default());
+/// The speeds at the readings. Changes are means over [`CHANGE_SECS`], which encoders can resolve.
+/// Before the first and after the last wheel sample the speed is that sample's speed; without wheel
+/// samples it is 0.
+fn speeds(readings: &[InertialReading], wheels: &[WheelSample]) -> Vec<Speed> {
+    let wheels = in_order(wheels, &mut Losses::default());
     let speed_at = |stamp_ns: i64| {
         let mean = |sample: &WheelSample| 0.5 * (sample.left_m_per_s + sample.right_m_per_s);
         let after = wheels.partition_point(|sample| sample.stamp_ns <= stamp_ns);
@@ -143,7 +143,7 @@ fn speeds(readings: &[Inertial], wheels: &[WheelSample]) -> Vec<Speed> {
         }
     };
     let half_ns = (0.5 * CHANGE_SECS * 1e9) as i64;
-    let speed = |reading: &Inertial| {
+    let speed = |reading: &InertialReading| {
         let (before, after) =
             (reading.stamp_ns.saturating_sub(half_ns), reading.stamp_ns.saturating_add(half_ns));
         let change = speed_at(after) - speed_at(before);
@@ -152,30 +152,30 @@ fn speeds(readings: &[Inertial], wheels: &[WheelSample]) -> Vec<Speed> {
     readings.iter().map(speed).collect()
 }
 
-/// Where forward is: the vector (along the two axes of [`level_axes`]) that, times the
-/// accelerations that the wheels tell, comes nearest to the measured ones in the sense of least
-/// squares: both taken for complex numbers, the sum of conjugate(wheels) x measured over that of
-/// |wheels|^2. Accelerations that have nothing to do with the wheels give next to nothing.
+/// The forward direction along the two axes of [`level_axes`]: the factor between the accelerations
+/// computed from the wheels and the measured accelerations, by least squares. With both as complex
+/// numbers it is sum(conjugate(wheels) measured) / sum(|wheels|^2). If the measured accelerations
+/// are not correlated with the wheels, its length is close to 0.
 fn forward(
-    readings: &[Inertial],
+    readings: &[InertialReading],
     speeds: &[Speed],
     ups: &[Vector3<f64>],
     bias: &Vector3<f64>,
 ) -> [f64; 2] {
-    let (mut sum, mut of) = ([0.0; 2], 0.0);
+    let (mut sum, mut sum_of_squares) = ([0.0; 2], 0.0);
     for ((reading, speed), up) in readings.iter().zip(speeds).zip(ups) {
         let Some(acceleration) = reading.acceleration.and_then(finite) else { continue };
         let (change, leftward) = (speed.change_m_s2, speed.m_s * (rate(reading) - bias).dot(up));
         let [e, n] = level_axes(up).map(|axis| axis.dot(&acceleration));
         sum[0] += change * e + leftward * n;
         sum[1] += change * n - leftward * e;
-        of += change * change + leftward * leftward;
+        sum_of_squares += change * change + leftward * leftward;
     }
-    if 0.0 < of { sum.map(|sum| sum / of) } else { [0.0; 2] }
+    if 0.0 < sum_of_squares { sum.map(|sum| sum / sum_of_squares) } else { [0.0; 2] }
 }
 
-/// Two level axes, the second to the left of the first: of the IMU's x axis, or of its y axis where
-/// x is upright.
+/// Two horizontal axes in the IMU frame. The first is the horizontal part of the IMU's x axis, or of
+/// its y axis if x is close to vertical. The second is to the left of the first.
 fn level_axes(up: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = if up.x * up.x < 0.7 { Vector3::x() } else { Vector3::y() };
     let level = (first - up * up.dot(&first)).normalize();
@@ -186,21 +186,21 @@ fn finite(vector: [f64; 3]) -> Option<Vector3<f64>> {
     vector.iter().all(|value| value.is_finite()).then(|| Vector3::from(vector))
 }
 
-fn rate(reading: &Inertial) -> Vector3<f64> {
+fn rate(reading: &InertialReading) -> Vector3<f64> {
     finite(reading.angular_velocity).unwrap_or_default()
 }
 
-/// Mean direction of the accelerations of the first seconds.
-fn first_up(readings: &[Inertial]) -> Vector3<f64> {
+/// Mean direction of the accelerations in the first seconds.
+fn first_up(readings: &[InertialReading]) -> Vector3<f64> {
     let is_early =
-        |r: &&Inertial| seconds(readings[0].stamp_ns, r.stamp_ns).abs() <= 0.5 * MEMORY_SECS;
+        |r: &&InertialReading| seconds(readings[0].stamp_ns, r.stamp_ns).abs() <= 0.5 * MEMORY_SECS;
     let accelerations = readings.iter().filter(is_early).filter_map(|r| finite(r.acceleration?));
     let sum: Vector3<f64> = accelerations.sum();
     sum.try_normalize(f64::EPSILON).unwrap_or_else(Vector3::z)
 }
 
-/// Whether the middle one of all accelerations is as large as gravity.
-fn has_gravity(readings: &[Inertial]) -> bool {
+/// Whether the median norm of all accelerations is that of gravity.
+fn has_gravity(readings: &[InertialReading]) -> bool {
     let norms = readings.iter().filter_map(|r| r.acceleration).map(|a| Vector3::from(a).norm());
     let mut norms: Vec<f64> = norms.filter(|norm| norm.is_finite()).collect();
     if norms.is_empty() {
@@ -208,11 +208,11 @@ fn has_gravity(readings: &[Inertial]) -> bool {
     }
     let middle = norms.len() / 2;
     let (_, median, _) = norms.select_nth_unstable_by(middle, f64::total_cmp);
-    (*median / GRAVITY_M_S2 - 1.0).abs() < GRAVITY_TOLERANCE
+    is_gravity(*median)
 }
 
-/// A vector turned by a rotation vector \[rad\] (Rodrigues' formula).
-fn turned(v: &Vector3<f64>, by: &Vector3<f64>) -> Vector3<f64> {
+/// Rotates a vector by a rotation vector \[rad\] (Rodrigues' formula).
+fn rotated(v: &Vector3<f64>, by: &Vector3<f64>) -> Vector3<f64> {
     let angle = by.norm();
     let Some(axis) = by.try_normalize(f64::MIN_POSITIVE) else { return *v };
     let (sin, cos) = libm::sincos(angle);
@@ -225,13 +225,14 @@ mod tests {
 
     use super::*;
 
+    /// Standard gravity.
+    const GRAVITY_M_S2: f64 = 9.80665;
     const HZ: usize = 100;
 
-    /// Readings at 100 Hz of an IMU whose roll and pitch are functions of time, on a robot that
-    /// turns at `yaw_rate` and drives at `speed` (both by time). By hand: an IMU pitched by p
-    /// (about y, forward down), then seen from it rolled by r (about x), sees a level vector turned
-    /// by -p about y, then by -r about x, and has the angular velocity of the yaw seen so, plus p'
-    /// about y seen through the roll, plus r' about x.
+    /// Readings at 100 Hz of an IMU on a robot; roll, pitch, yaw rate and speed are functions of
+    /// time. The IMU is pitched by p (about y, forward down), then rolled by r (about its own x). In
+    /// its frame a horizontal vector is rotated by -p about y, then by -r about x. Its angular
+    /// velocity is the yaw rate in that frame, plus p' about y in the rolled frame, plus r' about x.
     fn readings(
         secs: f64,
         roll: &dyn Fn(f64) -> f64,
@@ -239,8 +240,8 @@ mod tests {
         yaw_rate: &dyn Fn(f64) -> f64,
         speed: &dyn Fn(f64) -> f64,
         bias: [f64; 3],
-    ) -> Vec<Inertial> {
-        let seen = |v: [f64; 3], r: f64, p: f64| {
+    ) -> Vec<InertialReading> {
+        let in_imu_frame = |v: [f64; 3], r: f64, p: f64| {
             let [x, y, z] = v;
             let (x, z) = (p.cos() * x - p.sin() * z, p.sin() * x + p.cos() * z);
             [x, r.cos() * y + r.sin() * z, r.cos() * z - r.sin() * y]
@@ -250,15 +251,15 @@ mod tests {
                 let t = k as f64 / HZ as f64;
                 let slope = |f: &dyn Fn(f64) -> f64| (f(t + 1e-4) - f(t - 1e-4)) / 2e-4;
                 let (r, p) = (roll(t), pitch(t));
-                let yaw = seen([0.0, 0.0, yaw_rate(t)], r, p);
-                let pitching = seen([0.0, slope(pitch), 0.0], r, 0.0);
+                let yaw = in_imu_frame([0.0, 0.0, yaw_rate(t)], r, p);
+                let pitching = in_imu_frame([0.0, slope(pitch), 0.0], r, 0.0);
                 let rolling = [slope(roll), 0.0, 0.0];
-                Inertial {
+                InertialReading {
                     stamp_ns: (k * 1_000_000_000 / HZ) as i64,
                     angular_velocity: std::array::from_fn(|k| {
                         yaw[k] + pitching[k] + rolling[k] + bias[k]
                     }),
-                    acceleration: Some(seen(
+                    acceleration: Some(in_imu_frame(
                         [slope(speed), speed(t) * yaw_rate(t), GRAVITY_M_S2],
                         r,
                         p,
@@ -268,18 +269,18 @@ mod tests {
             .collect()
     }
 
-    /// Integral of the rates less the true ones \[rad\].
+    /// Integral of the difference to the true rates \[rad\].
     fn error_rad(rates: &[f64], yaw_rate: &dyn Fn(f64) -> f64) -> f64 {
         let truth = |k: usize| yaw_rate(k as f64 / HZ as f64);
         rates.iter().enumerate().map(|(k, rate)| (rate - truth(k)) / HZ as f64).sum()
     }
 
-    /// Rolled by 30 deg: up is (0, 1/2, sqrt(3)/2) in the IMU's frame, and 0.8 rad/s about it
-    /// reads as 0.4 and 0.8 sqrt(3)/2.
+    /// Rolled by 30 deg: up is (0, 1/2, sqrt(3)/2) in the IMU frame. A yaw rate of 0.8 rad/s gives
+    /// the angular velocity (0, 0.4, 0.8 sqrt(3)/2).
     #[test]
-    fn a_rolled_imu_by_hand() {
+    fn the_yaw_rate_of_a_rolled_imu_is_projected_on_the_vertical() {
         let half_root = 0.75f64.sqrt();
-        let reading = |stamp_ns| Inertial {
+        let reading = |stamp_ns| InertialReading {
             stamp_ns,
             angular_velocity: [0.0, 0.4, 0.8 * half_root],
             acceleration: Some([0.0, 0.5 * GRAVITY_M_S2, half_root * GRAVITY_M_S2]),
@@ -289,14 +290,14 @@ mod tests {
         }
     }
 
-    /// A base that speeds up and slows down at 0.6 m/s^2, leans by as much, turns while it leans,
-    /// and has the biases of a cheap gyroscope; its IMU is mounted upright, upside down, rolled, and
-    /// rolled with x backwards (which is rolled the other way with left and right exchanged).
+    /// A balancing base accelerates and brakes with 0.6 m/s^2, leans accordingly, and turns while it
+    /// leans. Its gyroscope has large biases. The IMU is mounted upright, upside down, rolled, and
+    /// rolled with x pointing backward.
     #[test]
-    fn a_balancing_base_hides_its_lean_and_its_turns_are_found() {
+    fn the_turns_of_a_balancing_base_are_measured_although_it_leans() {
         let speed = |t: f64| 0.8 - 0.75 * (0.8 * t).cos();
         let lean = |t: f64| (0.6 * (0.8 * t).sin() / GRAVITY_M_S2).atan();
-        // To the left, half of the time, where it leans most: 2/pi of 0.8 rad/s, 153 rad.
+        // Turns left half of the time, most where it leans most: 600 s * 0.8 rad/s / pi = 153 rad.
         let yaw_rate = |t: f64| 0.8 * (0.8 * t).sin().max(0.0);
         let wheels: Vec<WheelSample> = (0..50 * 600)
             .map(|k| {
@@ -313,7 +314,7 @@ mod tests {
                 reading.angular_velocity = backwards(reading.angular_velocity);
                 reading.acceleration = reading.acceleration.map(backwards);
             }
-            // What is left of the bias is that about the vertical, which the filter calibrates.
+            // The bias about the vertical remains; the Kalman filter calibrates it.
             let biased_rad = 600.0 * (0.002 * roll.cos() - 0.015 * roll.sin());
             let error = |rates: &[f64]| error_rad(rates, &yaw_rate) - biased_rad;
             let found = error(&yaw_rates_rad_s(&readings, &wheels));
@@ -325,16 +326,17 @@ mod tests {
                 })
                 .collect();
             let fixed = error(&fixed);
-            println!("roll {roll}: {found:.4} rad of 153, with a fixed direction {fixed:.4}");
+            println!("roll {roll}: error {found:.4} rad of 153 rad, with a fixed vertical {fixed:.4} rad");
             assert!(found.abs() < 0.02, "roll {roll}: {found} rad");
-            // 1 - cos(lean) is 0.0019 sin^2, of turns that go with sin: 0.0019 * 2/3 * 153 = 0.19.
+            // 1 - cos(lean) is 0.0019 sin^2. Weighted with the yaw rate, which is proportional to
+            // sin: 0.0019 * 2/3 * 153 rad = 0.19 rad.
             assert!((fixed + 0.19).abs() < 0.01, "{fixed}");
         }
     }
 
     #[test]
-    fn no_gravity_is_the_z_axis() {
-        let reading = |acceleration| Inertial {
+    fn without_gravity_the_yaw_rate_is_the_rate_about_z() {
+        let reading = |acceleration| InertialReading {
             stamp_ns: 0,
             angular_velocity: [1.0, 2.0, 3.0],
             acceleration,
@@ -345,9 +347,8 @@ mod tests {
         }
     }
 
-    /// A value that is not finite spoils its own reading and no other.
     #[test]
-    fn a_broken_reading_stays_alone() {
+    fn a_value_that_is_not_finite_affects_only_its_own_reading() {
         let mut some = readings(20.0, &|_| 0.3, &|_| 0.1, &|_| 0.5, &|_| 0.0, [0.0; 3]);
         some[700].angular_velocity[1] = f64::NAN;
         some[900].acceleration = Some([f64::INFINITY, 0.0, 1.0]);
