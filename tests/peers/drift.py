@@ -2,15 +2,16 @@
 
 usage: drift.py LOOPBOOST FUSE_CSV LOGS [--write docs/poses.md]
 
-LOOPBOOST is the program, FUSE_CSV the example of crates/fuse (`cargo build --release -p fuse
---example fuse_csv`), LOGS a folder with hdl32e-*.mcap (fused by `loopboost ingest`) and nclt-*.mcap
-(which have no lidar, so that the example fuses them). Needs mcap, mcap-ros2-support, numpy, pyarrow
-and evo. `--write` puts the table between the two `drift` marks of a file.
+LOOPBOOST is the program. FUSE_CSV is the example of crates/fuse (`cargo build --release -p fuse
+--example fuse_csv`). LOGS is a folder with hdl32e-*.mcap, which `loopboost ingest` fuses, and
+nclt-*.mcap, which have no lidar and are fused by the example. The script needs mcap,
+mcap-ros2-support, numpy, pyarrow and evo. `--write` replaces the table between the two `drift`
+comments in a file.
 
-Plain wheels: both speeds integrated by the trapezoidal rule over arcs, with the nominal track and
-nothing else. Drift per 100 m: the mean translation part of the relative pose errors of evo, over
-all pairs of poses that are 100 m of path apart, computed here and held against evo. Final drift:
-how far the last pose is off after the first one was laid on the truth's, as a share of the way.
+Plain wheels: both speeds, integrated by the trapezoidal rule over arcs with the nominal track width.
+Drift per 100 m: mean translation part of the relative pose errors of evo, over all pairs of poses
+that are 100 m of path apart, computed here and compared with evo. Final drift: distance of the last
+pose from the ground truth when the first poses are aligned, as a share of the path length.
 """
 
 import copy
@@ -29,7 +30,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 TRACK_M = 0.5
 SPINNING = ["hdl32e-killian", "hdl32e-csail", "hdl32e-aces"]
-# The wheels of these logs read 8 % long.
+# The wheels of these logs measure 8 % too much.
 SEGWAY = ["nclt-2012-11-04", "nclt-2012-11-16", "nclt-2013-01-10"]
 SEGWAY_SCALE = 0.926
 
@@ -39,7 +40,7 @@ def yaw(q):
 
 
 def read(log, topics):
-    """Rows of each topic: stamp [ns] and what `topics` takes of a message."""
+    """Rows of each topic: the stamp [ns] and the values that `topics` extracts from a message."""
     rows = {topic: [] for topic in topics}
     with open(log, "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -69,7 +70,7 @@ class Path2:
         values = [np.interp(*where, v) for v in (self.x, self.y, self.heading)]
         return Path2(stamps, *values)
 
-    def way(self):
+    def path_m(self):
         steps = np.hypot(np.diff(self.x), np.diff(self.y))
         return np.concatenate([[0.0], np.cumsum(steps)])
 
@@ -83,33 +84,33 @@ def plain_wheels(rows, scale):
     turn, forward = (mean[1] - mean[0]) / TRACK_M, 0.5 * (mean[0] + mean[1])
     heading = np.concatenate([[0.0], np.cumsum(turn)])
     middle = heading[:-1] + 0.5 * turn
-    # The chord of an arc.
+    # The length of the chord of an arc.
     chord = forward * np.sinc(turn / (2 * np.pi))
     x, y = (np.concatenate([[0.0], np.cumsum(chord * f(middle))]) for f in (np.cos, np.sin))
     return Path2(stamps, x, y, heading)
 
 
 def relative(path, i, j):
-    """Of the pose j in that of i."""
+    """Position of pose j in the frame of pose i."""
     dx, dy = path.x[j] - path.x[i], path.y[j] - path.y[i]
     cos, sin = np.cos(path.heading[i]), np.sin(path.heading[i])
     return cos * dx + sin * dy, cos * dy - sin * dx
 
 
 def drift(truth, path):
-    """Drift per 100 m [m], final drift [%], the same after a fit over all poses [%]."""
+    """Drift per 100 m [m], final drift [%], final drift after alignment of all poses [%], path [m]."""
     inside = (path.stamps[0] <= truth.stamps) & (truth.stamps <= path.stamps[-1])
     truth = Path2(*(v[inside] for v in (truth.stamps, truth.x, truth.y, truth.heading)))
     path = path.at(truth.stamps)
-    way = truth.way()
-    # Of each pose the one that comes nearest to 100 m later, 10 m off at most.
-    after = np.searchsorted(way, way + 100.0)
-    after = np.where(after < len(way), after, len(way) - 1)
-    nearer = np.abs(way[after - 1] - way - 100.0) <= np.abs(way[after] - way - 100.0)
-    after -= (nearer & (np.arange(len(way)) < after - 1)).astype(int)
-    first = np.flatnonzero((np.abs(way[after] - way - 100.0) <= 10.0) & (np.arange(len(way)) < after))
+    path_m = truth.path_m()
+    # For each pose, the pose nearest to 100 m later on the path, within 10 m.
+    after = np.searchsorted(path_m, path_m + 100.0)
+    after = np.where(after < len(path_m), after, len(path_m) - 1)
+    nearer = np.abs(path_m[after - 1] - path_m - 100.0) <= np.abs(path_m[after] - path_m - 100.0)
+    after -= (nearer & (np.arange(len(path_m)) < after - 1)).astype(int)
+    first = np.flatnonzero((np.abs(path_m[after] - path_m - 100.0) <= 10.0) & (np.arange(len(path_m)) < after))
     ahead, found = relative(truth, first, after[first]), relative(path, first, after[first])
-    # The error is the found pose seen from the true one: turning it does not change its length.
+    # The error is the found pose in the frame of the true pose; a rotation does not change its length.
     rpe = np.hypot(ahead[0] - found[0], ahead[1] - found[1]).mean()
 
     reference, estimate = trajectory(truth), trajectory(path)
@@ -128,13 +129,13 @@ def drift(truth, path):
         aligned = copy.deepcopy(estimate)
         align(aligned)
         off = aligned.positions_xyz[-1] - reference.positions_xyz[-1]
-        return 100 * np.linalg.norm(off) / way[-1]
+        return 100 * np.linalg.norm(off) / path_m[-1]
 
-    ahead, found = (relative(p, 0, len(way) - 1) for p in (truth, path))
-    ours = 100 * np.hypot(ahead[0] - found[0], ahead[1] - found[1]) / way[-1]
+    ahead, found = (relative(p, 0, len(path_m) - 1) for p in (truth, path))
+    ours = 100 * np.hypot(ahead[0] - found[0], ahead[1] - found[1]) / path_m[-1]
     theirs = final(lambda e: e.align_origin(reference))
     assert abs(ours - theirs) < 1e-6 + 1e-3 * theirs, f"{ours} % here, {theirs} % by evo"
-    return rpe, ours, final(lambda e: e.align(reference)), way[-1]
+    return rpe, ours, final(lambda e: e.align(reference)), path_m[-1]
 
 
 def trajectory(path):
@@ -167,14 +168,14 @@ def by_example(example, wheels, imu, folder):
 
 def table(program, example, logs):
     lines = [
-        "| log | way | poses | drift per 100 m | final drift | final, fitted |",
+        "| log | path | poses | drift per 100 m | final drift | final drift, aligned |",
         "|---|---|---|---|---|---|",
     ]
 
     def row(name, of, measured, plain=None):
-        rpe, final, fitted, way = measured
-        times = f" ({plain[0] / rpe:.1f} times less)" if plain else ""
-        lines.append(f"| {name} | {way:.0f} m | {of} | {rpe:.2f} m{times} | {final:.2f} % | {fitted:.2f} % |")
+        rpe, final, fitted, path_m = measured
+        times = f" ({plain[0] / rpe:.1f} times lower)" if plain else ""
+        lines.append(f"| {name} | {path_m:.0f} m | {of} | {rpe:.2f} m{times} | {final:.2f} % | {fitted:.2f} % |")
 
     wheels = lambda message: tuple(map(float, message.velocity[:2]))
     with tempfile.TemporaryDirectory() as folder:
@@ -200,14 +201,14 @@ def table(program, example, logs):
             plain = drift(true, plain_wheels(rows["/wheels"], SEGWAY_SCALE))
             row(name, "plain wheels", plain)
             rates = [row[:2] for row in rows["/imu"]]
-            for of, imu in [("wheels and gyroscope", rates), ("and its heading", rows["/imu"])]:
+            for of, imu in [("wheels and gyroscope", rates), ("wheels, gyroscope and heading", rows["/imu"])]:
                 row(name, of, drift(true, by_example(example, rows["/wheels"], imu, folder)), plain)
     return "\n".join(lines)
 
 
 def straight_ahead(true):
-    """What a robot measures that knows its speed and heading without any error and is taken to
-    drive where it heads: its sideways motion is lost."""
+    """The path of a robot that measures speed and heading without error and is assumed to drive in
+    the direction of its heading. Sideways motion is lost."""
     steps = np.hypot(np.diff(true.x), np.diff(true.y))
     middle = 0.5 * (true.heading[1:] + true.heading[:-1])
     x, y = (np.concatenate([[0.0], np.cumsum(steps * f(middle))]) for f in (np.cos, np.sin))

@@ -16,8 +16,13 @@ fn main() {
 }
 
 fn hour(options: &Options) -> Logged {
-    let hour =
-        Drive { secs: 3600.0, wheel_hz: 50.0, imu_hz: 100.0, twist: winding_without_stops, has_heading: true };
+    let hour = Drive {
+        secs: 3600.0,
+        wheel_hz: 50.0,
+        imu_hz: 100.0,
+        twist: winding_without_stops,
+        has_heading: true,
+    };
     drive(options, &hour, Errors { gyro_bias: 0.002, ..Errors::default() }, 1.0, 1)
 }
 

@@ -183,6 +183,10 @@ mod tests {
         }
         let stamps: Vec<_> =
             dead_reckoning.advance().iter().map(|p| p.stamp_ns / 1_000_000).collect();
-        assert_eq!(stamps, [0, 50, 1110], "no pose at -10 (before the wheels) and 600 (in the gap)");
+        assert_eq!(
+            stamps,
+            [0, 50, 1110],
+            "no pose at -10 (before the wheels) and 600 (in the gap)"
+        );
     }
 }

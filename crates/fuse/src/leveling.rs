@@ -326,7 +326,9 @@ mod tests {
                 })
                 .collect();
             let fixed = error(&fixed);
-            println!("roll {roll}: error {found:.4} rad of 153 rad, with a fixed vertical {fixed:.4} rad");
+            println!(
+                "roll {roll}: error {found:.4} rad of 153 rad, with a fixed vertical {fixed:.4} rad"
+            );
             assert!(found.abs() < 0.02, "roll {roll}: {found} rad");
             // 1 - cos(lean) is 0.0019 sin^2. Weighted with the yaw rate, which is proportional to
             // sin: 0.0019 * 2/3 * 153 rad = 0.19 rad.

@@ -119,12 +119,11 @@ impl Default for Options {
 impl Options {
     /// Checks that every option is in its range.
     pub fn check(&self) -> Result<(), OutOfRange> {
-        let check = |key, found: f64, is_in_range: bool, expected| {
-            match is_in_range && found.is_finite() {
+        let check =
+            |key, found: f64, is_in_range: bool, expected| match is_in_range && found.is_finite() {
                 true => Ok(()),
                 false => Err(OutOfRange::new(key, found, expected)),
-            }
-        };
+            };
         for (key, found) in [
             ("track_m", self.track_m),
             ("wheel_scale", self.wheel_scale),

@@ -66,7 +66,8 @@ impl Report {
                 .fold(0.0, |secs, step| secs + step.motion.dt)
         };
         let duration_secs = steps_secs(&|_| true);
-        let last = |state: usize| (path.last.mean[state], path.last.covariance[(state, state)].sqrt());
+        let last =
+            |state: usize| (path.last.mean[state], path.last.covariance[(state, state)].sqrt());
         let (scale, scale_std) = last(filter::WHEEL_SCALE);
         let (difference, difference_std) = last(filter::WHEEL_DIFFERENCE);
         let (track, track_std) = last(filter::TRACK);

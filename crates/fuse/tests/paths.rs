@@ -130,8 +130,13 @@ fn the_options_decide_whether_track_width_or_wheel_scale_is_calibrated() {
 /// Samples at 1 Hz do not resolve the motion, so the wheel parameters stay at their nominal values.
 #[test]
 fn sparse_samples_do_not_calibrate_the_wheels() {
-    let sparse =
-        Drive { secs: 600.0, wheel_hz: 1.0, imu_hz: 1.0, twist: winding_without_stops, has_heading: true };
+    let sparse = Drive {
+        secs: 600.0,
+        wheel_hz: 1.0,
+        imu_hz: 1.0,
+        twist: winding_without_stops,
+        has_heading: true,
+    };
     let logged = drive(&options(), &sparse, Errors::default(), 1.0, 5);
     let report = fuse(&options(), &logged.wheels, &logged.imu, None, None).unwrap().report;
     // The gyroscope has little weight here, so the headings calibrate the wheels very slightly.
@@ -142,8 +147,13 @@ fn sparse_samples_do_not_calibrate_the_wheels() {
 
 #[test]
 fn a_measured_heading_keeps_a_long_drive_straight() {
-    let long =
-        Drive { secs: 1800.0, wheel_hz: 10.0, imu_hz: 10.0, twist: winding_without_stops, has_heading: true };
+    let long = Drive {
+        secs: 1800.0,
+        wheel_hz: 10.0,
+        imu_hz: 10.0,
+        twist: winding_without_stops,
+        has_heading: true,
+    };
     let errors = Errors { gyro_bias: 0.004, heading_offset: 2.0, ..Errors::default() };
     let mut logged = drive(&options(), &long, errors, 1.0, 6);
     // The measured heading is wrong for 20 s.
