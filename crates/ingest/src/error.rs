@@ -1,32 +1,35 @@
-//! Why a log gives nothing.
+//! Errors that stop the ingestion of a log.
 
+use std::fmt;
 use std::path::PathBuf;
 
-/// Why a log gives nothing.
+use dataset::Losses;
+
+/// Why a log cannot be ingested.
 #[derive(Debug, thiserror::Error)]
 pub enum IngestError {
-    /// The system refused to open or map the file.
+    /// The file cannot be opened or mapped.
     #[error("cannot read {path}")]
     Open {
         /// The log.
         path: PathBuf,
-        /// The system's word.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// There is nothing in the file.
+    /// The file is empty.
     #[error("{path} is empty: the recorder wrote nothing, or the copy failed")]
     Empty {
         /// The file.
         path: PathBuf,
     },
-    /// The file does not start as an MCAP file does.
+    /// The file does not start with the magic bytes of MCAP.
     #[error(
-        "{path} is no MCAP log: it starts with {found}, expected the magic bytes 89 4d 43 41 50 30 0d 0a; convert the recording to MCAP (`loopboost import`, `ros2 bag convert`, `mcap convert`)"
+        "{path} is not an MCAP file: it starts with {found}, expected the magic bytes 89 4d 43 41 50 30 0d 0a; convert the recording to MCAP (`loopboost import`, `ros2 bag convert` or `mcap convert`)"
     )]
     NotMcap {
         /// The file.
         path: PathBuf,
-        /// Its first bytes, hex.
+        /// The first bytes, in hexadecimal.
         found: String,
     },
     /// No channel has the topic.
@@ -34,13 +37,13 @@ pub enum IngestError {
     NoTopic {
         /// The log.
         path: PathBuf,
-        /// The topic asked for.
+        /// The topic in the options.
         topic: String,
-        /// What to do: the option to set, and to which topics.
+        /// What to do: the option to set, and the topics to choose from.
         remedy: String,
     },
-    /// The topic holds messages that the option cannot use.
-    #[error("{path}: topic `{topic}` holds `{found}`, expected {expected}; {remedy}")]
+    /// The messages of the topic have an unsuitable type.
+    #[error("{path}: topic `{topic}` contains `{found}`, expected {expected}; {remedy}")]
     WrongType {
         /// The log.
         path: PathBuf,
@@ -48,26 +51,27 @@ pub enum IngestError {
         topic: String,
         /// Schema and encoding found.
         found: String,
-        /// The types that would do.
+        /// The suitable types.
         expected: String,
-        /// What to do: the option to set, and to which topics.
+        /// What to do: the option to set, and the topics to choose from.
         remedy: String,
     },
-    /// The pose topic is there but empty, or no message of it could be read.
+    /// The pose topic has no messages, or none that can be used.
     #[error(
-        "{path}: topic `{topic}` holds no usable pose{detail}; take the poses from elsewhere (`ingest.pose.topic`, `frames` or `wheels`)"
+        "{path}: topic `{topic}` has no usable pose{}; use another source of poses (`ingest.pose.topic`, `frames` or `wheels`)",
+        in_parentheses(losses)
     )]
     NoPoses {
         /// The log.
         path: PathBuf,
         /// The topic.
         topic: String,
-        /// What was dropped, or nothing.
-        detail: String,
+        /// What was dropped.
+        losses: Losses,
     },
-    /// No poses come of the transforms.
+    /// The transforms do not give poses.
     #[error(
-        "{path}: there are no poses of frame `{child}` in frame `{parent}`, since {why}; {found}: set `ingest.pose.frames` to two of them"
+        "{path}: no poses of frame `{child}` in frame `{parent}`: {why}; {found}; set `ingest.pose.frames` to two connected frames"
     )]
     NoFrames {
         /// The log.
@@ -76,13 +80,13 @@ pub enum IngestError {
         parent: String,
         /// The frame that should move.
         child: String,
-        /// What is missing.
+        /// What is wrong.
         why: &'static str,
-        /// The frames there are.
+        /// The frames in the log.
         found: String,
     },
-    /// No poses come of the wheels.
-    #[error("{path}: no poses can be made of topic `{topic}`")]
+    /// The wheel samples do not give poses.
+    #[error("{path}: cannot fuse poses from topic `{topic}`")]
     Fuse {
         /// The log.
         path: PathBuf,
@@ -91,49 +95,52 @@ pub enum IngestError {
         /// Why.
         source: fuse::FuseError,
     },
-    /// Not one scan came out.
+    /// The lidar topic gives no scan.
     #[error(
-        "{path}: topic `{topic}` gives no scan{detail}; set `ingest.lidar.topic` to another topic, or take the log out of `ingest.logs`"
+        "{path}: topic `{topic}` gives no scan{reason}{}; set `ingest.lidar.topic` to another topic, or remove the log from `ingest.logs`",
+        if *is_mixed { "; its packets seem to come from more than one sensor" } else { "" }
     )]
     NoScans {
         /// The log.
         path: PathBuf,
         /// The topic.
         topic: String,
-        /// What was dropped, or nothing.
-        detail: String,
+        /// Why there is none.
+        reason: NoScansReason,
+        /// Whether the packets seem to come from more than one sensor.
+        is_mixed: bool,
     },
-    /// The packets are of another sensor.
+    /// The packets come from another Velodyne model.
     #[error(
-        "{path}: topic `{topic}` holds packets of a Velodyne {found} ({evidence}), expected a Velodyne HDL-32E, the only model that can be ingested from packets; name a topic with its point clouds or a planar scan, or take the log out of `ingest.logs`"
+        "{path}: topic `{topic}` contains packets of a Velodyne {found} ({evidence}), expected a Velodyne HDL-32E, the only supported model; set `ingest.lidar.topic` to a topic with point clouds or planar scans, or remove the log from `ingest.logs`"
     )]
     OtherSensor {
         /// The log.
         path: PathBuf,
         /// The topic.
         topic: String,
-        /// The sensor, by name.
+        /// The model, by name.
         found: &'static str,
-        /// What tells so.
+        /// What identifies the model.
         evidence: String,
     },
-    /// The sensor has no such beam.
+    /// The lidar does not have the selected beam.
     #[error(
-        "{path}: topic `{topic}` has {found}, asked for was {asked}; set one of `ingest.lidar.ring`, `ingest.lidar.elevation_deg` and (packets only) `ingest.lidar.laser` to a beam there is"
+        "{path}: topic `{topic}` has no {requested}, it has {available}; set one of `ingest.lidar.ring`, `ingest.lidar.elevation_deg` and (packets only) `ingest.lidar.laser` to an existing beam"
     )]
     NoBeam {
         /// The log.
         path: PathBuf,
         /// The topic.
         topic: String,
-        /// What the options ask for.
-        asked: String,
-        /// The beams there are.
-        found: String,
+        /// The beam in the options.
+        requested: String,
+        /// The beams that exist.
+        available: String,
     },
-    /// The device clock is to give the time and does not go on.
+    /// The options use the device clock, but it stands still.
     #[error(
-        "{path}: the device clock in the packets of topic `{topic}` stands still, so that it can give no time; set `ingest.lidar.clock` to \"host\""
+        "{path}: the device clock in the packets of topic `{topic}` stands still and gives no time; set `ingest.lidar.clock` to \"host\""
     )]
     StillClock {
         /// The log.
@@ -141,9 +148,9 @@ pub enum IngestError {
         /// The topic.
         topic: String,
     },
-    /// The laser that should make the scan returns nothing in the whole log.
+    /// The selected laser has no return in the whole log.
     #[error(
-        "{path}: laser {laser} (firing order; {elevation_deg:.2} deg) of topic `{topic}` has no return in any of {n_firings} firings: it is dead or masked; set `ingest.lidar.laser` to another (with returns: {alive})"
+        "{path}: laser {laser} (in firing order, {elevation_deg:.2} deg) of topic `{topic}` has no return in {n_firings} firings: it is dead or masked; set `ingest.lidar.laser` to a laser with returns ({alive})"
     )]
     DeadLaser {
         /// The log.
@@ -154,9 +161,68 @@ pub enum IngestError {
         laser: usize,
         /// Its elevation \[deg\].
         elevation_deg: f64,
-        /// How often it fired.
+        /// Number of its firings.
         n_firings: u64,
-        /// Lasers that have returns.
+        /// The lasers with returns.
         alive: String,
     },
+}
+
+impl IngestError {
+    /// A stable name of the error, for programs.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::Open { .. } => "cannot_open",
+            Self::Empty { .. } => "empty_file",
+            Self::NotMcap { .. } => "not_mcap",
+            Self::NoTopic { .. } => "no_topic",
+            Self::WrongType { .. } => "wrong_type",
+            Self::NoPoses { .. } => "no_poses",
+            Self::NoFrames { .. } => "no_frames",
+            Self::Fuse { .. } => "cannot_fuse",
+            Self::NoScans { .. } => "no_scans",
+            Self::OtherSensor { .. } => "other_sensor",
+            Self::NoBeam { .. } => "no_beam",
+            Self::StillClock { .. } => "still_clock",
+            Self::DeadLaser { .. } => "dead_laser",
+        }
+    }
+}
+
+/// Why a lidar topic gives no scan.
+#[derive(Debug, Clone, PartialEq)]
+pub enum NoScansReason {
+    /// The packets do not cover a complete revolution.
+    LessThanOneRevolution,
+    /// Everything was dropped, or there are no messages.
+    Losses(Losses),
+}
+
+/// The end of a sentence: what is dropped stands in parentheses.
+impl fmt::Display for NoScansReason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::LessThanOneRevolution => {
+                f.write_str(": its packets do not cover a complete revolution from azimuth 0 to 0")
+            }
+            Self::Losses(losses) => f.write_str(&in_parentheses(losses)),
+        }
+    }
+}
+
+/// The lidar does not have the beam that the options select.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct BeamNotFound {
+    /// The beam in the options.
+    pub(crate) requested: String,
+    /// The beams that exist.
+    pub(crate) available: String,
+}
+
+/// What was dropped, for the end of a sentence.
+fn in_parentheses(losses: &Losses) -> String {
+    match losses.is_empty() {
+        true => String::new(),
+        false => format!(" (dropped: {losses})"),
+    }
 }

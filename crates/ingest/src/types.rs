@@ -1,8 +1,9 @@
-//! The message types that each kind of topic can have.
+//! The message types that a topic of each kind can have.
 
-use messages::MessageType;
+use dataset::LossKind;
+use messages::{MessageError, MessageType, Source};
 
-/// The message types a scan can come from.
+/// The message types of lidar topics.
 pub const LIDAR_TYPES: [MessageType; 6] = [
     MessageType::VelodyneScan,
     MessageType::VelodynePacket,
@@ -11,7 +12,7 @@ pub const LIDAR_TYPES: [MessageType; 6] = [
     MessageType::FoxglovePointCloud,
     MessageType::FoxgloveLaserScan,
 ];
-/// The message types a pose can come from.
+/// The message types of pose topics.
 pub const POSE_TYPES: [MessageType; 5] = [
     MessageType::PoseStamped,
     MessageType::PoseWithCovarianceStamped,
@@ -19,10 +20,16 @@ pub const POSE_TYPES: [MessageType; 5] = [
     MessageType::FoxglovePoseInFrame,
     MessageType::NavSatFix,
 ];
-/// The message types that transforms between frames can come from.
+/// The message types of transform topics.
 pub const FRAME_TYPES: [MessageType; 2] = [MessageType::Tf, MessageType::FoxgloveFrameTransform];
 
-/// The message types that the speeds of the wheels can come from.
+/// The message types of wheel topics.
 pub const WHEEL_TYPES: [MessageType; 2] = [MessageType::JointState, MessageType::Odometry];
-/// The message types that yaw rates can come from.
+/// The message types of IMU topics.
 pub const IMU_TYPES: [MessageType; 1] = [MessageType::Imu];
+
+/// The loss of a message that cannot be decoded.
+pub(crate) fn undecodable(source: Source, error: &MessageError) -> LossKind {
+    let message_type = source.message_type.name().to_owned();
+    LossKind::UndecodableMessages { message_type, fault: error.kind() }
+}

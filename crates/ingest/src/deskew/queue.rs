@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use dataset::{Pose2, Scan};
+use dataset::{Note, NoteKind, Pose2, Scan};
 
 use crate::deskew::feed::Follower;
 use crate::deskew::motion::{Smear, TimedScan, Track};
@@ -96,21 +96,20 @@ impl Deskewer {
         }
     }
 
-    /// What became of the scans, in a line; nothing where no poses were asked for either.
-    pub(crate) fn told(&self) -> Option<String> {
+    /// How many scans were deskewed, and why others were not. Empty if there are no poses either.
+    pub(crate) fn notes(&self) -> Vec<Note> {
         if self.follower.is_none() {
-            let told = "scans are as they were measured, on the move (deskew = false)";
-            return (!self.is_wanted).then(|| told.to_owned());
+            let note = NoteKind::DeskewOff.into();
+            return if self.is_wanted { Vec::new() } else { vec![note] };
         }
-        let why = [
-            (self.n_unknown, "the motion around them is not known at least every 0.25 s, or jumps"),
-            (self.n_untimed, "their messages do not tell the times of the returns"),
-        ];
-        let told = why
-            .iter()
-            .filter(|(n, _)| 0 < *n)
-            .map(|(n, why)| format!("; {n} are as they were measured, since {why}"));
-        Some(format!("{} scans deskewed{}", self.n_straight, told.collect::<String>()))
+        let mut notes = vec![NoteKind::Deskewed { n_scans: self.n_straight }.into()];
+        if 0 < self.n_unknown {
+            notes.push(NoteKind::NotDeskewedNoMotion { n_scans: self.n_unknown }.into());
+        }
+        if 0 < self.n_untimed {
+            notes.push(NoteKind::NotDeskewedNoTimes { n_scans: self.n_untimed }.into());
+        }
+        notes
     }
 }
 

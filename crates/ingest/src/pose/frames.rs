@@ -7,7 +7,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use dataset::{Pose2, StampedPose};
+use dataset::{LossKind, Note, NoteKind, Pose2, StampedPose};
 use messages::Transform;
 
 use crate::pose::message::{unit_quaternion, yaw_rad};
@@ -48,11 +48,11 @@ pub(crate) struct TransformHistory {
 type Chain = Vec<(Edge, bool)>;
 
 impl TransformHistory {
-    /// Adds a transform; the error says what is wrong with it ("with ...").
-    pub(crate) fn add(&mut self, transform: &Transform, is_static: bool) -> Result<(), String> {
+    /// Adds a transform.
+    pub(crate) fn add(&mut self, transform: &Transform, is_static: bool) -> Result<(), LossKind> {
         let rotation = unit_quaternion(transform.rotation)?;
         if !transform.translation.iter().all(|v| v.is_finite()) {
-            return Err("with a value that is not finite".to_owned());
+            return Err(LossKind::NonFiniteMessages);
         }
         let edge = (name(&transform.parent).to_owned(), name(&transform.child).to_owned());
         let told = self.told.entry(edge).or_default();
@@ -83,10 +83,11 @@ impl TransformHistory {
         self.forks.extend(forks);
     }
 
-    /// Frames on the way that have two parents, in a line each.
-    pub(crate) fn forks(&self) -> impl Iterator<Item = String> {
-        self.forks.iter().map(|(child, taken, other)| {
-            format!("frame `{child}` is told in `{taken}` and in `{other}`: that in `{taken}` was taken; name another `parent` in `ingest.pose.frames` to take the other")
+    /// A note for each frame of the chain that has two parents.
+    pub(crate) fn forks(&self) -> impl Iterator<Item = Note> {
+        self.forks.iter().map(|(child, used, other)| {
+            let (child, used, other) = (child.clone(), used.clone(), other.clone());
+            NoteKind::TwoParentFrames { child, used, other }.into()
         })
     }
 
@@ -530,8 +531,9 @@ mod tests {
         let mut later = TransformHistory::default();
         later.add(&other, false).unwrap();
         forked.extend(later);
-        let told: Vec<String> = forked.forks().collect();
-        assert!(told[0].starts_with("frame `base` is told in `odom` and in `gps`"), "{told:?}");
+        let [used, other] = ["odom", "gps"].map(str::to_owned);
+        let note = NoteKind::TwoParentFrames { child: "base".to_owned(), used, other };
+        assert_eq!(forked.forks().collect::<Vec<_>>(), [note.into()]);
     }
 
     #[test]
@@ -541,8 +543,8 @@ mod tests {
         assert_eq!(graph().names(), ["base", "lidar", "map", "mast", "odom"]);
         let mut graph = graph();
         let bad = transform(("a", "b"), 0, [0.0; 3], [0.0; 4]);
-        assert!(graph.add(&bad, false).unwrap_err().contains("not of length 1"));
+        assert_eq!(graph.add(&bad, false), Err(LossKind::QuaternionNotNormalized));
         let bad = transform(("a", "b"), 0, [f64::NAN; 3], [0.0, 0.0, 0.0, 1.0]);
-        assert!(graph.add(&bad, false).unwrap_err().contains("not finite"));
+        assert_eq!(graph.add(&bad, false), Err(LossKind::NonFiniteMessages));
     }
 }

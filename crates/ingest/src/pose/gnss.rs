@@ -3,7 +3,7 @@
 //! A fix has no heading. That of a pose is the course: the direction from where the receiver was
 //! last, [`COURSE_M`] away, to where it is next. A robot that reverses is turned round by it.
 
-use dataset::{Pose2, StampedPose};
+use dataset::{LossKind, Pose2, StampedPose};
 use messages::NavSatFix;
 
 use crate::pose_options::Origin;
@@ -23,17 +23,17 @@ const STATUS_FIX: i8 = 0;
 /// Nearer to 0, 0 than this nobody drives \[deg\].
 const NULL_ISLAND_DEG: f64 = 1e-6;
 
-/// Refuses what is no place; the error says why ("without ...").
-pub(crate) fn check(fix: &NavSatFix) -> Result<(), String> {
+/// Refuses what is no place.
+pub(crate) fn check(fix: &NavSatFix) -> Result<(), LossKind> {
     if fix.status < STATUS_FIX {
-        return Err("without a fix (status below 0)".to_owned());
+        return Err(LossKind::NoGnssFix);
     }
     // In the Gulf of Guinea, 600 km from land.
     if fix.latitude_deg.abs() < NULL_ISLAND_DEG && fix.longitude_deg.abs() < NULL_ISLAND_DEG {
-        return Err("at latitude and longitude 0, which receivers give without a fix".to_owned());
+        return Err(LossKind::GnssFixAtZero);
     }
     if !(fix.latitude_deg.abs() <= 90.0 && fix.longitude_deg.abs() <= 360.0) {
-        return Err("whose latitude or longitude is no place on the earth".to_owned());
+        return Err(LossKind::GnssFixOutOfRange);
     }
     Ok(())
 }
@@ -178,9 +178,9 @@ mod tests {
     #[test]
     fn what_is_no_fix_says_why() {
         let lost = NavSatFix { status: -1, ..fix(0, 1.0, 1.0) };
-        assert!(check(&lost).unwrap_err().contains("without a fix"));
-        assert!(check(&fix(0, f64::NAN, 0.0)).unwrap_err().contains("no place"));
-        assert!(check(&fix(0, 0.0, 0.0)).unwrap_err().contains("latitude and longitude 0"));
+        assert_eq!(check(&lost), Err(LossKind::NoGnssFix));
+        assert_eq!(check(&fix(0, f64::NAN, 0.0)), Err(LossKind::GnssFixOutOfRange));
+        assert_eq!(check(&fix(0, 0.0, 0.0)), Err(LossKind::GnssFixAtZero));
         assert_eq!(check(&fix(0, -90.0, 180.0)), Ok(()));
         assert_eq!(check(&fix(0, 0.0, 32.6)), Ok(()));
     }

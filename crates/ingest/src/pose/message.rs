@@ -1,18 +1,19 @@
 //! Pose messages -> stamped poses in the plane.
 
-use dataset::{Pose2, StampedPose};
+use dataset::{LossKind, Pose2, StampedPose};
 use messages::{Source, read_pose_and_covariance};
+
+use crate::types::undecodable;
 
 /// A quaternion whose norm is farther from 1 than this is no orientation.
 const MAX_NORM_ERROR: f64 = 0.01;
 
-/// Reads one pose; the error says what is wrong with the message ("that ...").
-pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, String> {
-    let (pose, covariance) = read_pose_and_covariance(source, data).map_err(|error| {
-        format!("that do not decode as {} ({})", source.message_type.name(), error.kind())
-    })?;
+/// Reads one pose.
+pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, LossKind> {
+    let (pose, covariance) = 
+        read_pose_and_covariance(source, data).map_err(|error| undecodable(source, &error))?;
     if !pose.position.iter().all(|v| v.is_finite()) {
-        return Err("with a value that is not finite".to_owned());
+        return Err(LossKind::NonFiniteMessages);
     }
     let planar = Pose2 {
         x_m: pose.position[0],
@@ -32,14 +33,14 @@ fn planar_covariance(full: &[f64; 36]) -> Option<[f64; 6]> {
     is_known.then_some(planar)
 }
 
-/// A quaternion of length 1, of one that is nearly so; the error says what it is ("with ...").
-pub(crate) fn unit_quaternion(q: [f64; 4]) -> Result<[f64; 4], String> {
+/// A quaternion of length 1, of one that is nearly so.
+pub(crate) fn unit_quaternion(q: [f64; 4]) -> Result<[f64; 4], LossKind> {
     let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
     if !norm.is_finite() {
-        return Err("with a value that is not finite".to_owned());
+        return Err(LossKind::NonFiniteMessages);
     }
     if (norm - 1.0).abs() > MAX_NORM_ERROR {
-        return Err("whose quaternion is not of length 1".to_owned());
+        return Err(LossKind::QuaternionNotNormalized);
     }
     Ok(q.map(|v| v / norm))
 }
@@ -56,7 +57,7 @@ mod tests {
     use messages::ros::{write_odometry, write_pose_stamped, write_pose_with_covariance_stamped};
     use messages::{Encoding, MessageType, Odometry, StampedPose3};
 
-    fn read(orientation: [f64; 4], x: f64) -> Result<StampedPose, String> {
+    fn read(orientation: [f64; 4], x: f64) -> Result<StampedPose, LossKind> {
         let pose = StampedPose3 { stamp_ns: 9, position: [x, 2.0, 3.0], orientation };
         let source = |message_type| Source { message_type, encoding: Encoding::Cdr };
         let bytes = write_pose_stamped(Encoding::Cdr, "map", &pose);
@@ -115,9 +116,10 @@ mod tests {
 
     #[test]
     fn what_is_no_pose_says_why() {
-        assert!(read([0.0; 4], 1.0).unwrap_err().contains("not of length 1"));
-        assert!(read([0.0, 0.0, 0.0, 1.0], f64::NAN).unwrap_err().contains("not finite"));
+        assert_eq!(read([0.0; 4], 1.0), Err(LossKind::QuaternionNotNormalized));
+        assert_eq!(read([0.0, 0.0, 0.0, 1.0], f64::NAN), Err(LossKind::NonFiniteMessages));
         let source = Source { message_type: MessageType::Odometry, encoding: Encoding::Cdr };
-        assert!(stamped_pose(source, &[0, 1, 0, 0]).unwrap_err().contains("decode as Odometry"));
+        let undecodable = stamped_pose(source, &[0, 1, 0, 0]).unwrap_err();
+        assert_eq!(undecodable.code(), "undecodable_messages");
     }
 }

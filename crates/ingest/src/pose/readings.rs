@@ -1,6 +1,6 @@
 //! Readings of the robot's motion, as a log gives them.
 
-use dataset::StampedPose;
+use dataset::{LossKind, StampedPose};
 use fuse::{InertialReading, WheelSample};
 use messages::{
     MessageType, NavSatFix, Source, read_imu, read_joint_state, read_nav_sat_fix, read_odometry,
@@ -11,6 +11,7 @@ use crate::pose::frames::TransformHistory;
 use crate::pose::gnss;
 use crate::pose::message::{stamped_pose, yaw_rad};
 use crate::pose_options::{Frames, PoseOptions};
+use crate::types::undecodable;
 
 /// Readings of sensors of motion, in the order of the log.
 #[derive(Debug, Default)]
@@ -34,17 +35,15 @@ pub(crate) struct ImuReading {
 }
 
 impl Motion {
-    /// Adds a message of one of the topics; the error says what is wrong with it ("that ...").
+    /// Adds a message of one of the topics.
     pub(crate) fn add(
         &mut self,
         topic: &str,
         source: Source,
         data: &[u8],
         options: &PoseOptions,
-    ) -> Result<(), String> {
-        let undecodable = |error: messages::MessageError| {
-            format!("that do not decode as {} ({})", source.message_type.name(), error.kind())
-        };
+    ) -> Result<(), LossKind> {
+        let undecodable = |error: messages::MessageError| undecodable(source, &error);
         match (source.message_type, &options.wheels) {
             (MessageType::Imu, _) => {
                 let imu = read_imu(source, data).map_err(undecodable)?;
@@ -88,9 +87,9 @@ impl Motion {
         source: Source,
         data: &[u8],
         options: &PoseOptions,
-    ) -> Result<(), String> {
+    ) -> Result<(), LossKind> {
         let joints = read_joint_state(source, data)
-            .map_err(|error| format!("that do not decode as JointState ({})", error.kind()))?;
+            .map_err(|error| undecodable(source, &error))?;
         let side = |name: &str, values: &[f64]| {
             let is_side = |joint: &String| joint.to_ascii_lowercase().contains(name);
             let of_side = joints.names.iter().zip(values).filter(|(joint, _)| is_side(joint));
@@ -107,10 +106,7 @@ impl Motion {
         } else if let Some((left_m, right_m)) = both(&joints.positions) {
             self.positions.push((joints.stamp_ns, left_m, right_m));
         } else {
-            return Err(format!(
-                "without joints named `left` and `right`, but {}",
-                joints.names.join(", ")
-            ));
+            return Err(LossKind::NoWheelJoints { joints: joints.names.join(", ") });
         }
         Ok(())
     }
@@ -146,8 +142,8 @@ impl Motion {
 }
 
 impl ImuReading {
-    pub(crate) fn inertial(&self) -> InertialReading {
+    pub(crate) fn inertial(&self) -> Inertial {
         let &Self { stamp_ns, angular_velocity, acceleration, .. } = self;
-        InertialReading { stamp_ns, angular_velocity, acceleration }
+        Inertial { stamp_ns, angular_velocity, acceleration }
     }
 }

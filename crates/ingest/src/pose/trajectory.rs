@@ -1,7 +1,7 @@
 //! What a log says of the robot's motion -> its trajectory: poses as they are, of transforms, of
 //! satellite fixes, or fused from wheels and IMU.
 
-use dataset::{Dropped, Pose2, StampedPose, Trajectory};
+use dataset::{LossKind, Losses, Note, NoteKind, Pose2, StampedPose, Trajectory};
 use fuse::{Fused, ImuSample, InertialReading, WheelSample};
 
 use crate::deskew::motion::is_jump;
@@ -10,7 +10,7 @@ use crate::error::IngestError;
 use crate::pose::frames::{LookupError, TransformHistory};
 use crate::pose::gnss;
 use crate::pose::readings::{ImuReading, Motion};
-use crate::pose_options::{Frames, PoseOptions};
+use crate::pose_options::{Frames, Origin, PoseOptions};
 use crate::types::{FRAME_TYPES, IMU_TYPES, POSE_TYPES, WHEEL_TYPES};
 
 /// The topics that poses come from.
@@ -78,8 +78,8 @@ impl Motion {
     pub(crate) fn trajectory(
         self,
         from: &PoseSource<'_>,
-        dropped: &mut Dropped,
-        notes: &mut Vec<String>,
+        losses: &mut Losses,
+        notes: &mut Vec<Note>,
     ) -> Result<Trajectory, IngestError> {
         let options = from.options;
         let poses = match (from.topics, &options.frames) {
@@ -89,8 +89,7 @@ impl Motion {
                     .poses(&frames.parent, &frames.child, from.upside_down)
                     .map_err(|why| from.no_frames(why, frames, &self.frames))?;
                 notes.extend(self.frames.forks());
-                let reason = "poses at stamps that another transform on the way does not reach, or is silent around";
-                dropped.add(reason, n_beyond);
+                losses.add(LossKind::PosesWithoutTransform, n_beyond);
                 poses
             }
             (PoseTopics::Wheels { wheels, .. }, _) => {
@@ -99,8 +98,8 @@ impl Motion {
                     topic: wheels.name.clone(),
                     source,
                 })?;
-                notes.push(told(&fused));
-                dropped.merge(fused.report.losses.clone().into());
+                notes.extend(fusion_notes(&fused));
+                losses.merge(fused.report.losses.clone());
                 let pose = |p: &fuse::FusedPose| StampedPose {
                     stamp_ns: p.stamp_ns,
                     pose: p.pose,
@@ -112,10 +111,17 @@ impl Motion {
                 match self.fixes.first().map(|first| options.origin.unwrap_or(gnss::origin(first)))
                 {
                     Some(origin) => {
-                        notes.push(format!(
-                        "poses of {} fixes, headings by course, from the origin {{ latitude_deg = {}, longitude_deg = {}, altitude_m = {} }}",
-                        self.fixes.len(), origin.latitude_deg, origin.longitude_deg, origin.altitude_m
-                    ));
+                        let Origin { latitude_deg, longitude_deg, altitude_m } = origin;
+                        let n_fixes = self.fixes.len() as u64;
+                        notes.push(
+                            NoteKind::PosesFromFixes {
+                                n_fixes,
+                                latitude_deg,
+                                longitude_deg,
+                                altitude_m,
+                            }
+                            .into(),
+                        );
                         gnss::poses(&self.fixes, &origin)
                     }
                     None => self.poses,
@@ -125,9 +131,9 @@ impl Motion {
         let mount = from.mount;
         let poses = poses.into_iter().map(|pose| mounted(&pose, &mount)).collect();
         let (trajectory, n_duplicates) = Trajectory::new(poses);
-        dropped.add("poses with the stamp of another pose", n_duplicates as u64);
+        losses.add(LossKind::DuplicatePoseStamps, n_duplicates as u64);
         if trajectory.poses().is_empty() {
-            return Err(from.no_poses(dropped));
+            return Err(from.no_poses(losses));
         }
         notes.extend(jumps(&trajectory, options.max_speed_m_s));
         Ok(trajectory)
@@ -163,13 +169,9 @@ pub(crate) struct PoseSource<'a> {
 }
 
 impl PoseSource<'_> {
-    fn no_poses(&self, dropped: &Dropped) -> IngestError {
-        let detail = match dropped.is_empty() {
-            true => String::new(),
-            false => format!(" (dropped: {dropped})"),
-        };
+    fn no_poses(&self, losses: &Losses) -> IngestError {
         let topic = self.topics.main().name.clone();
-        IngestError::NoPoses { path: self.path.to_owned(), topic, detail }
+        IngestError::NoPoses { path: self.path.to_owned(), topic, losses: losses.clone() }
     }
 
     fn no_frames(
@@ -218,50 +220,50 @@ fn mounted(robot: &StampedPose, mount: &Pose2) -> StampedPose {
     StampedPose { stamp_ns: robot.stamp_ns, pose, covariance }
 }
 
-/// Poses that no robot of this speed gets to from the ones before, in a line.
-fn jumps(trajectory: &Trajectory, max_speed_m_s: f64) -> Option<String> {
+/// Poses that a robot of this speed cannot reach from the pose before.
+fn jumps(trajectory: &Trajectory, max_speed_m_s: f64) -> Option<Note> {
     let pairs = trajectory.poses().windows(2);
     let jumps: Vec<_> = pairs.filter(|p| is_jump(&p[0], &p[1], max_speed_m_s)).collect();
     let distance_m = |p: &[StampedPose]| p[0].pose.distance_m(&p[1].pose);
     let largest = jumps.iter().rev().max_by(|a, b| distance_m(a).total_cmp(&distance_m(b)))?;
-    let secs = largest[1].stamp_ns.saturating_sub(largest[0].stamp_ns) as f64 * 1e-9;
-    Some(format!(
-        "{} jumps of the poses, faster than {max_speed_m_s} m/s, the largest of {:.2} m in {secs:.3} s at {} ns: poses between are not to be trusted (ingest.pose.max_speed_m_s)",
-        jumps.len(),
-        distance_m(largest),
-        largest[0].stamp_ns
-    ))
+    Some(
+        NoteKind::PoseJumps {
+            n_jumps: jumps.len() as u64,
+            max_speed_m_s,
+            largest_m: distance_m(largest),
+            largest_s: largest[1].stamp_ns.saturating_sub(largest[0].stamp_ns) as f64 * 1e-9,
+            stamp_ns: largest[0].stamp_ns,
+        }
+        .into(),
+    )
 }
-/// What the fusion found, in a line.
-fn told(fused: &Fused) -> String {
+
+/// Notes about the fusion of wheels and IMU.
+fn fusion_notes(fused: &Fused) -> Vec<Note> {
     let report = &fused.report;
-    let mut told = format!(
-        "poses fused from {} readings of wheels and {} of the imu: {:.1} m, standing still {:.0} % of the time, track {:.3} +- {:.3} m",
-        report.n_wheel_samples,
-        report.n_imu_samples,
-        report.distance_m,
-        report.still_share * 100.0,
-        report.track_m.value,
-        report.track_m.std
-    );
-    if let Some(bias) = report.gyro_bias_mean_rad_s {
-        told.push_str(&format!(", gyro bias {bias:.5} rad/s"));
+    let mut notes = vec![NoteKind::PosesFused {
+        n_wheel_samples: report.n_wheel_samples as u64,
+        n_imu_samples: report.n_imu_samples as u64,
+        distance_m: report.distance_m,
+        still_share: report.still_share,
+        track_m: report.track_m.value,
+        track_std_m: report.track_m.std,
+        gyro_bias_rad_s: report.gyro_bias_mean_rad_s,
+    }];
+    if 0 < report.n_headings {
+        let (n_headings, n_outliers) = (report.n_headings, report.n_heading_outliers);
+        notes.push(NoteKind::HeadingsUsed { n_headings, n_outliers });
     }
-    if report.n_headings > 0 {
-        told.push_str(&format!(
-            ", {} headings used, {} of them outliers",
-            report.n_headings, report.n_heading_outliers
-        ));
+    if 0 < report.n_turn_outliers {
+        notes.push(NoteKind::WheelSlip { secs: report.n_turn_outliers });
     }
-    if report.n_turn_outliers > 0 {
-        told.push_str(&format!(", slip in {} s", report.n_turn_outliers));
-    }
-    for (gaps, of) in [(report.wheel_gaps, "wheels"), (report.imu_gaps, "imu")] {
-        if gaps.n > 0 {
-            told.push_str(&format!(", {} gaps of {of} of {:.1} s in all", gaps.n, gaps.secs));
+    for (gaps, sensor) in [(report.wheel_gaps, "wheel"), (report.imu_gaps, "imu")] {
+        if 0 < gaps.n {
+            let (n_gaps, secs) = (gaps.n, gaps.secs);
+            notes.push(NoteKind::SampleGaps { sensor: sensor.to_owned(), n_gaps, secs });
         }
     }
-    told
+    notes.into_iter().map(Note::from).collect()
 }
 
 #[cfg(test)]
@@ -278,7 +280,7 @@ mod tests {
         }
     }
 
-    fn add(motion: &mut Motion, message_type: MessageType, bytes: &[u8]) -> Result<(), String> {
+    fn add(motion: &mut Motion, message_type: MessageType, bytes: &[u8]) -> Result<(), LossKind> {
         motion.add("/topic", Source { message_type, encoding: Encoding::Cdr }, bytes, &options())
     }
 
@@ -350,6 +352,6 @@ mod tests {
         assert!((fused.report.distance_m - 9.9).abs() < 0.01, "{}", fused.report.distance_m);
         let bytes = joints(0, &["arm", "gripper"], &[1.0, 2.0], &[]);
         let reason = add(&mut Motion::default(), MessageType::JointState, &bytes).unwrap_err();
-        assert_eq!(reason, "without joints named `left` and `right`, but arm, gripper");
+        assert_eq!(reason, LossKind::NoWheelJoints { joints: "arm, gripper".to_owned() });
     }
 }

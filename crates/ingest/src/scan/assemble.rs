@@ -1,117 +1,90 @@
-//! What the pieces of a log hold -> scans and poses, in the order of the file.
+//! Assembles the decoded pieces of a drive into scans and poses, in file order.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use dataset::{Dropped, Pose2, Scan, Trajectory};
+use dataset::{Losses, LossKind, Note, NoteKind, Pose2, Scan, Subject, Trajectory};
 use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
 use crate::deskew::queue::{Deskewer, Raw, Released};
 use crate::drive::topic::Topic;
-use crate::error::IngestError;
+use crate::error::{IngestError, NoScansReason};
 use crate::options::{Clock, Options};
 use crate::pose::readings::Motion;
 use crate::pose::trajectory::{PoseSource, PoseTopics};
 use crate::scan::decode::Decoded;
-use crate::velodyne::model::{self, Laser, OtherSensor, PACKETS_TO_IDENTIFY};
-use crate::velodyne::packet::RingPacket;
-use crate::velodyne::reorder::Reorderer;
+use crate::velodyne::model::{Laser, OtherSensor, format_lasers};
 use crate::velodyne::revolution::ScanBuilder;
-use crate::velodyne::split::{Ends, MARKED_HOLE_DEG, RevolutionSplitter};
+use crate::velodyne::stream::{PacketStream, PacketSummary};
 
-/// Packets that do not follow each other, one in so many, come from more than one sensor: a network
-/// loses packets in bursts and a clock jumps now and then.
-const MIXED: u64 = 10;
-const SEVERAL_SENSORS: &str =
-    "its packets do not follow each other, as if more than one sensor sent to the topic";
-/// Packets of another layout that are no accident, where there are none of the right one.
-const FOREIGN_PACKETS: u64 = 3;
+/// Scans with a wider angle without packets are counted in the notes \[deg\].
+const MIN_NOTED_HOLE_DEG: f32 = 5.0;
 
-/// What a drive gave besides its scans.
+/// The result of ingesting a drive, apart from its scans.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Ingested {
     /// The poses, in order of time.
     pub trajectory: Trajectory,
-    /// Whether they are in a map frame of this drive's own: where its wheels were first read, or
-    /// where its first satellite fix was.
+    /// Whether the poses are in a map frame of this drive alone. Its origin is the first wheel
+    /// reading or the first satellite fix.
     pub is_own_frame: bool,
-    /// Number of scans handed on.
+    /// Number of scans.
     pub n_scans: usize,
-    /// Turns at the two ends that lie only partly in the log; they are not counted as dropped,
-    /// since every recording starts and ends somewhere in a turn.
+    /// Number of partial revolutions at the start and end. They are not losses, because every
+    /// recording starts and ends within a revolution.
     pub n_partial_revolutions: usize,
-    /// What was in the log and could not be used.
-    pub dropped: Dropped,
-    /// What is to be known of the scans, though nothing was lost for it here.
-    pub notes: Vec<String>,
+    /// Data that could not be used.
+    pub losses: Losses,
+    /// Remarks about the data.
+    pub notes: Vec<Note>,
 }
 
-/// Puts together what the pieces hold.
+/// Assembles scans and poses.
 pub(crate) struct Assembler {
     laser: Laser,
     options: Options,
-    reorderer: Reorderer,
-    splitter: RevolutionSplitter,
-    maker: ScanBuilder,
-    /// The file that is being joined.
-    file: usize,
-    /// Packets of it that are no later than those of the files before are there twice \[ns\].
-    file_from_ns: i64,
-    newest_ns: i64,
-    first_packets: Vec<RingPacket>,
-    foreign: BTreeMap<&'static str, u64>,
-    n_packets: u64,
+    packets: PacketStream,
+    builder: ScanBuilder,
     deskewer: Deskewer,
     motion: Motion,
-    /// Poses that are earlier than the one before in the log.
-    n_poses_back: u64,
-    dropped: Dropped,
+    counts: Counts,
+    losses: Losses,
+}
+
+/// Counts over all pieces.
+#[derive(Debug, Default)]
+struct Counts {
     n_scans: usize,
-    n_sorted_clouds: u64,
-    n_clouds_of_other_clock: u64,
-    /// Scans with a hole of more than [`MARKED_HOLE_DEG`].
-    n_marked: usize,
+    /// Scans with an angle of more than [`MIN_NOTED_HOLE_DEG`] without packets.
+    n_scans_with_hole: u64,
     n_firings: u64,
     n_returns: u64,
-    lasers_with_returns: u32,
+    n_sorted_clouds: u64,
+    n_clouds_of_other_clock: u64,
+    /// Poses that are earlier than the pose before.
+    n_poses_back: u64,
     n_messages: u64,
+    /// Whether a part of a piece could not be read.
     is_damaged: bool,
 }
 
 impl Assembler {
-    /// What has been dropped so far is given.
-    pub(crate) fn new(options: &Options, laser: Laser, dropped: Dropped) -> Self {
+    /// `losses` are the losses so far.
+    pub(crate) fn new(options: &Options, laser: Laser, losses: Losses) -> Self {
         Self {
             laser,
             options: options.clone(),
-            reorderer: Reorderer::default(),
-            splitter: RevolutionSplitter::new(&options.lidar, laser),
-            maker: ScanBuilder::new(&options.lidar, laser),
+            packets: PacketStream::new(&options.lidar, laser),
+            builder: ScanBuilder::new(&options.lidar, laser),
             deskewer: Deskewer::new(options),
-            file: 0,
-            file_from_ns: i64::MIN,
-            newest_ns: i64::MIN,
-            first_packets: Vec::new(),
-            foreign: BTreeMap::new(),
-            n_packets: 0,
             motion: Motion::default(),
-            n_poses_back: 0,
-            dropped,
-            n_scans: 0,
-            n_sorted_clouds: 0,
-            n_clouds_of_other_clock: 0,
-            n_marked: 0,
-            n_firings: 0,
-            n_returns: 0,
-            lasers_with_returns: 0,
-            n_messages: 0,
-            is_damaged: false,
+            counts: Counts::default(),
+            losses,
         }
     }
 
-    /// Adds what some pieces hold; their scans go to `take`.
-    pub(crate) fn join<E>(
+    /// Adds decoded pieces and passes their scans to `take`.
+    pub(crate) fn add<E>(
         &mut self,
         decoded: Vec<Decoded>,
         take: &mut impl FnMut(Vec<Scan>) -> Result<(), E>,
@@ -119,122 +92,99 @@ impl Assembler {
         let mut revolutions = Vec::new();
         let mut released = Vec::new();
         for piece in decoded {
-            if self.file != piece.file {
-                self.file = piece.file;
-                self.file_from_ns = self.newest_ns;
-            }
-            for packet in &piece.packets.packets {
-                if packet.end_ns <= self.file_from_ns {
-                    self.dropped.add("packets that are in two files of the drive", 1);
-                    continue;
-                }
-                self.newest_ns = self.newest_ns.max(packet.end_ns);
-                if self.first_packets.len() < PACKETS_TO_IDENTIFY {
-                    self.first_packets.push(*packet);
-                }
-                self.reorderer.push(packet, |packet| self.splitter.push(packet, &mut revolutions));
-            }
-            for (model, n) in piece.packets.foreign {
-                *self.foreign.entry(model).or_default() += n;
-            }
-            self.lasers_with_returns |= piece.packets.lasers_with_returns;
-            self.n_sorted_clouds += piece.n_sorted_clouds;
-            self.n_clouds_of_other_clock += piece.n_clouds_of_other_clock;
-            self.n_messages += piece.n_messages;
-            self.is_damaged |= piece.is_damaged;
-            let of_revolutions = revolutions.drain(..).map(Raw::Revolution);
-            piece
-                .scans
-                .into_iter()
-                .map(Raw::Scan)
-                .chain(of_revolutions)
+            self.packets.push(piece.file, piece.packets, &mut revolutions);
+            let scans = piece.scans.into_iter().map(Raw::Scan);
+            scans
+                .chain(revolutions.drain(..).map(Raw::Revolution))
                 .for_each(|raw| self.deskewer.hold(raw));
-            self.follow(piece.motion);
+            self.add_motion(piece.motion);
             self.deskewer.release(false, &mut released);
-            self.n_packets += piece.packets.packets.len() as u64;
-            self.dropped.merge(piece.packets.dropped);
-            self.dropped.merge(piece.dropped);
+            self.counts.n_sorted_clouds += piece.n_sorted_clouds;
+            self.counts.n_clouds_of_other_clock += piece.n_clouds_of_other_clock;
+            self.counts.n_messages += piece.n_messages;
+            self.counts.is_damaged |= piece.is_damaged;
+            self.losses.merge(piece.losses);
         }
-        take(self.scan(released))
+        take(self.build_scans(released))
     }
 
-    /// Adds what comes next of the robot's motion.
-    fn follow(&mut self, mut next: Motion) {
+    /// Adds the motion of the next piece.
+    fn add_motion(&mut self, mut next: Motion) {
         self.motion.add_frames(&mut next);
         if let Some(options) = &self.options.pose {
             self.motion.cut_down(options);
         }
         self.deskewer.follow(&next, &self.motion);
-        self.n_poses_back += self.motion.extend(next);
+        self.counts.n_poses_back += self.motion.extend(next);
     }
 
-    fn scan(&mut self, released: Vec<Released>) -> Vec<Scan> {
+    fn build_scans(&mut self, released: Vec<Released>) -> Vec<Scan> {
+        let counts = &mut self.counts;
         for (raw, _) in &released {
             if let Raw::Revolution(revolution) = raw {
-                self.n_firings += revolution.firings.len() as u64;
-                self.n_returns +=
-                    revolution.firings.iter().filter(|f| f.distance != 0).count() as u64;
+                let firings = &revolution.firings;
+                counts.n_firings += firings.len() as u64;
+                counts.n_returns += firings.iter().filter(|f| f.distance != 0).count() as u64;
             }
         }
-        let maker = &self.maker;
-        let scans: Vec<Scan> =
-            released.into_par_iter().map(|(raw, smear)| raw.scan(maker, smear.as_ref())).collect();
-        self.n_scans += scans.len();
-        self.n_marked += scans.iter().filter(|scan| MARKED_HOLE_DEG < scan.hole_deg).count();
+        let builder = &self.builder;
+        let scans: Vec<Scan> = released
+            .into_par_iter()
+            .map(|(raw, smear)| raw.scan(builder, smear.as_ref()))
+            .collect();
+        counts.n_scans += scans.len();
+        let has_hole = |scan: &&Scan| MIN_NOTED_HOLE_DEG < scan.hole_deg;
+        counts.n_scans_with_hole += scans.iter().filter(has_hole).count() as u64;
         scans
     }
 
-    /// The sensor that the packets are of, where it is no HDL-32E.
+    /// The sensor that sent the packets, if it is not an HDL-32E.
     pub(crate) fn other_sensor(&self) -> Option<OtherSensor> {
-        match self.foreign.iter().max_by_key(|(_, n)| **n) {
-            Some((&name, &n)) if self.first_packets.is_empty() && FOREIGN_PACKETS <= n => {
-                Some(OtherSensor { name, evidence: "by the flags of its blocks".to_owned() })
-            }
-            _ => model::other_sensor(&self.first_packets),
+        self.packets.model.other_sensor()
+    }
+
+    /// Whether the options use the device clock although it stands still.
+    pub(crate) fn lacks_clock(&self) -> bool {
+        self.options.lidar.clock != Clock::Host && self.packets.model.has_still_clock()
+    }
+
+    /// Compares the number of messages read with the statistics in the files. Messages in a damaged
+    /// piece are already counted with the piece.
+    pub(crate) fn check_message_count(&mut self, expected: Option<u64>) {
+        if let (Some(expected), false) = (expected, self.counts.is_damaged) {
+            let n_missing = expected.saturating_sub(self.counts.n_messages);
+            self.losses.add(LossKind::MissingMessages, n_missing);
         }
     }
 
-    /// Compares the messages there were with those that the log says it holds. What a damaged
-    /// piece held is lost with it, and counted as that piece.
-    pub(crate) fn expect_messages(&mut self, n: Option<u64>) {
-        if let (Some(n), false) = (n, self.is_damaged) {
-            let reason = "messages that the log's statistics count and its data lacks";
-            self.dropped.add(reason, n.saturating_sub(self.n_messages));
-        }
-    }
-
-    /// Ends the last turn and sums up. `path` stands for the drive in errors.
+    /// Ends the last revolution, makes the trajectory, and sums up. `path` is the drive's name in
+    /// errors.
     pub(crate) fn finish<E: From<IngestError>>(
         mut self,
         path: &Path,
-        lidar: Topic,
+        lidar: &Topic,
         pose: Option<&PoseTopics>,
         mut take: impl FnMut(Vec<Scan>) -> Result<(), E>,
     ) -> Result<Ingested, E> {
         let mut revolutions = Vec::new();
-        self.reorderer.flush(&mut |packet| self.splitter.push(packet, &mut revolutions));
-        let ends = self.splitter.finish(&mut revolutions);
-        revolutions
-            .into_iter()
-            .for_each(|revolution| self.deskewer.hold(Raw::Revolution(revolution)));
+        let mut packets = self.packets.finish(&mut revolutions);
+        revolutions.into_iter().for_each(|r| self.deskewer.hold(Raw::Revolution(r)));
         let mut released = Vec::new();
         self.deskewer.release(true, &mut released);
-        take(self.scan(released))?;
-        let mut of_packets = ends.dropped.clone();
-        of_packets.merge(std::mem::take(&mut self.reorderer.dropped));
-        let n_faults: u64 = of_packets.iter().map(|(_, n)| n).sum();
-        let is_mixed = self.n_packets < MIXED * n_faults;
-        self.dropped.merge(of_packets);
+        take(self.build_scans(released))?;
+        self.losses.merge(std::mem::take(&mut packets.losses).on_topic(&lidar.name));
 
         let mut notes = lidar.notes.clone();
         let pose_topics = pose.iter().flat_map(|topics| topics.all());
         notes.extend(pose_topics.flat_map(|topic| topic.notes.clone()));
-        notes.extend(self.notes(&ends));
-        if is_mixed {
-            notes.push(SEVERAL_SENSORS.to_owned());
+        notes.extend(self.deskewer.notes());
+        let subject = || Subject::topic(&lidar.name);
+        notes.extend(self.lidar_notes(&packets).into_iter().map(|n| Note::new(n, subject())));
+        if 0 < self.counts.n_poses_back {
+            notes.push(NoteKind::PosesReordered { n_poses: self.counts.n_poses_back }.into());
         }
-        self.check_scans(path, lidar.name, &ends, is_mixed)?;
-        let dropped = &mut self.dropped;
+        self.check_scans(path, &lidar.name, &packets)?;
+
         let is_own_frame = self.options.pose.as_ref().is_some_and(|pose| {
             pose.is_own_frame() || (self.motion.has_fixes() && pose.origin.is_none())
         });
@@ -242,59 +192,45 @@ impl Assembler {
         let trajectory = match (pose, &self.options.pose) {
             (Some(topics), Some(options)) => {
                 let upside_down = self.options.lidar.upside_down;
-                let from = PoseSource { path, topics, options, mount, upside_down };
-                self.motion.trajectory(&from, dropped, &mut notes)?
+                let source = PoseSource { path, topics, options, mount, upside_down };
+                self.motion.trajectory(&source, &mut self.losses, &mut notes)?
             }
             _ => Trajectory::default(),
         };
         Ok(Ingested {
             trajectory,
             is_own_frame,
-            n_scans: self.n_scans,
-            n_partial_revolutions: ends.n_partial,
-            dropped: self.dropped,
+            n_scans: self.counts.n_scans,
+            n_partial_revolutions: packets.split.n_partial,
+            losses: self.losses,
             notes,
         })
     }
 
-    /// Whether the device clock stands still though it is to give the time.
-    pub(crate) fn lacks_clock(&self) -> bool {
-        let [first, .., last] = self.first_packets.as_slice() else { return false };
-        self.options.lidar.clock != Clock::Host
-            && self.first_packets.len() == PACKETS_TO_IDENTIFY
-            && self.first_packets.iter().all(|packet| packet.device_us == first.device_us)
-            && first.azimuth != last.azimuth
-    }
-
-    /// Refuses a log that gives no scan, or none with a return.
+    /// Returns an error if there is no scan, or no return in any scan.
     fn check_scans(
         &self,
         path: &Path,
-        topic: String,
-        ends: &Ends,
-        is_mixed: bool,
+        topic: &str,
+        packets: &PacketSummary,
     ) -> Result<(), IngestError> {
-        let path = path.to_owned();
-        if self.n_scans == 0 {
-            let mut detail = match self.dropped.is_empty() && ends.n_partial > 0 {
-                true => {
-                    ": its packets span less than one turn between two cuts at azimuth 0".to_owned()
-                }
-                false => in_parentheses(&self.dropped),
+        let (path, topic) = (path.to_owned(), topic.to_owned());
+        if self.counts.n_scans == 0 {
+            let reason = match self.losses.is_empty() && 0 < packets.split.n_partial {
+                true => NoScansReason::LessThanOneRevolution,
+                false => NoScansReason::Losses(self.losses.clone()),
             };
-            if is_mixed {
-                detail.push_str(&format!(": {SEVERAL_SENSORS}"));
-            }
-            return Err(IngestError::NoScans { path, topic, detail });
+            let is_mixed = packets.is_mixed;
+            return Err(IngestError::NoScans { path, topic, reason, is_mixed });
         }
-        if self.n_firings > 0 && self.n_returns == 0 {
+        if 0 < self.counts.n_firings && self.counts.n_returns == 0 {
             return Err(IngestError::DeadLaser {
                 path,
                 topic,
                 laser: self.laser.index,
                 elevation_deg: self.laser.elevation_deg,
-                n_firings: self.n_firings,
-                alive: match model::lasers(self.lasers_with_returns) {
+                n_firings: self.counts.n_firings,
+                alive: match format_lasers(packets.lasers_with_returns) {
                     none if none.is_empty() => "none".to_owned(),
                     some => some,
                 },
@@ -303,69 +239,59 @@ impl Assembler {
         Ok(())
     }
 
-    fn notes(&self, ends: &Ends) -> Vec<String> {
-        let mut notes: Vec<String> = self.deskewer.told().into_iter().collect();
-        if ends.n_partial > 0 {
-            notes.push(format!("{} turns cut by the log's ends", ends.n_partial));
-        }
-        if ends.n_missing_packets > 0 {
-            notes.push(format!(
-                "{} packets missing; {} scans have a hole of more than {MARKED_HOLE_DEG} deg (hole_deg)",
-                ends.n_missing_packets, self.n_marked
-            ));
-        }
-        if ends.n_clock_jumps > 0 {
-            notes.push(format!(
-                "the device clock jumps {} times, alone: nothing is lost for it",
-                ends.n_clock_jumps
-            ));
-        }
-        if let (n @ 1.., largest_s) = self.splitter.stamp_steps() {
-            notes.push(format!(
-                "the stamps step {n} times against the device clock, by up to {largest_s:.2} s: scans and poses may be that far apart there"
-            ));
-        }
-        if self.n_poses_back > 0 {
-            notes.push(format!(
-                "{} poses are earlier than the one before in the log; they were put in order of time",
-                self.n_poses_back
-            ));
-        }
-        if self.options.lidar.clock == Clock::Host && self.n_packets < 2 * ends.n_same_stamp {
-            notes.push("packets of a message have one stamp, so that scans may be late by its time: set `ingest.lidar.clock` to \"device\"".to_owned());
-        }
-        if self.reorderer.n_late > 0 {
-            notes
-                .push(format!("{} packets came late and were put in order", self.reorderer.n_late));
-        }
-        if self.n_sorted_clouds > 0 {
-            notes.push(format!(
-                "{} clouds have their points in no firing order; they were sorted by azimuth",
-                self.n_sorted_clouds
-            ));
-        }
-        if self.n_clouds_of_other_clock > 0 {
-            notes.push(format!(
-                "{} clouds have point times more than 1 s from their stamp; the stamp was taken",
-                self.n_clouds_of_other_clock
-            ));
-        }
-        let dead = !self.lasers_with_returns;
-        if self.n_firings > 0 && dead != 0 {
-            let n = LASERS - dead.count_ones() as usize;
-            notes.push(format!(
-                "{n} of {LASERS} lasers seen to return; none seen from {}",
-                model::lasers(dead)
-            ));
-        }
-        notes
-    }
-}
-
-/// What was dropped, for the end of an error.
-fn in_parentheses(dropped: &Dropped) -> String {
-    match dropped.is_empty() {
-        true => String::new(),
-        false => format!(" (dropped: {dropped})"),
+    /// Notes about the messages of the lidar topic.
+    fn lidar_notes(&self, packets: &PacketSummary) -> Vec<NoteKind> {
+        let counts = &self.counts;
+        let split = &packets.split;
+        let silent = !packets.lasers_with_returns;
+        let noted = [
+            (packets.is_mixed, NoteKind::SeveralSensors),
+            (
+                0 < split.n_partial,
+                NoteKind::PartialRevolutions { n_revolutions: split.n_partial as u64 },
+            ),
+            (
+                0 < split.n_missing_packets,
+                NoteKind::MissingPackets {
+                    n_packets: split.n_missing_packets,
+                    n_scans: counts.n_scans_with_hole,
+                    min_hole_deg: f64::from(MIN_NOTED_HOLE_DEG),
+                },
+            ),
+            (
+                0 < split.n_clock_jumps,
+                NoteKind::DeviceClockJumps { n_jumps: split.n_clock_jumps },
+            ),
+            (
+                0 < split.n_stamp_steps,
+                NoteKind::StampSteps {
+                    n_steps: split.n_stamp_steps,
+                    largest_s: split.largest_stamp_step_s,
+                },
+            ),
+            (
+                self.options.lidar.clock == Clock::Host
+                    && packets.n_packets < 2 * split.n_same_stamp,
+                NoteKind::OneStampPerMessage,
+            ),
+            (0 < packets.n_late, NoteKind::PacketsReordered { n_packets: packets.n_late }),
+            (
+                0 < counts.n_sorted_clouds,
+                NoteKind::CloudsSorted { n_clouds: counts.n_sorted_clouds },
+            ),
+            (
+                0 < counts.n_clouds_of_other_clock,
+                NoteKind::CloudTimesIgnored { n_clouds: counts.n_clouds_of_other_clock },
+            ),
+            (
+                0 < counts.n_firings && silent != 0,
+                NoteKind::SilentLasers {
+                    n_returning: LASERS as u64 - u64::from(silent.count_ones()),
+                    n_lasers: LASERS as u64,
+                    silent: format_lasers(silent),
+                },
+            ),
+        ];
+        noted.into_iter().filter(|(is_noted, _)| *is_noted).map(|(_, note)| note).collect()
     }
 }

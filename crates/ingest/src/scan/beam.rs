@@ -1,70 +1,75 @@
-//! Which beam of the lidar makes the scan.
+//! Selects the beam of the lidar that makes the scan.
 
 use messages::{MessageType, Source};
 
 use crate::drive::topic::{Drive, FilePiece, Topic};
-use crate::error::IngestError;
+use crate::error::{BeamNotFound, IngestError};
 use crate::mcap::chunk::{self, Buffer};
 use crate::options::LidarOptions;
 use crate::scan::cloud::Rings;
 use crate::velodyne::model::Laser;
 
-/// What of the lidar makes the scan.
+/// The beam that makes the scan.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Beam {
-    /// Of packets.
+    /// The laser, for packets.
     pub(crate) laser: Laser,
-    /// Of point clouds.
+    /// The ring, for point clouds.
     pub(crate) ring: u32,
 }
 
 impl Beam {
-    /// Finds the beam that the options ask for; in clouds by the elevations of their points.
+    /// Selects the beam by the options. In point clouds, the elevations of the points identify the
+    /// beam.
     pub(crate) fn choose(
         drive: &Drive<'_>,
         lidar: &Topic,
         options: &LidarOptions,
     ) -> Result<Self, IngestError> {
-        let no_beam = |asked, found| IngestError::NoBeam {
+        let no_beam = |BeamNotFound { requested, available }| IngestError::NoBeam {
             path: drive.path(),
             topic: lidar.name.clone(),
-            asked,
-            found,
+            requested,
+            available,
         };
         let mut beam = Self { laser: Laser::HORIZONTAL, ring: 0 };
-        let is_cloud = |source: &Source| {
-            matches!(
-                source.message_type,
-                MessageType::PointCloud2 | MessageType::FoxglovePointCloud
-            )
-        };
-        let is_packet = |source: &Source| {
-            matches!(source.message_type, MessageType::VelodyneScan | MessageType::VelodynePacket)
-        };
         if lidar.any(is_packet) {
-            beam.laser = Laser::choose(options).map_err(|(asked, found)| no_beam(asked, found))?;
+            beam.laser = Laser::choose(options).map_err(no_beam)?;
         }
         if lidar.any(is_cloud) {
-            let mut rings = Rings::default();
-            let mut buffer = Buffer::default();
-            let mut is_enough = false;
-            for FilePiece { file, log, piece, .. } in drive.pieces_with(&[lidar]) {
-                if is_enough {
-                    break;
-                }
-                // What cannot be read is counted when the scans are made.
-                chunk::messages(log.bytes(), piece, &mut buffer, |header, data| {
-                    if let Some(source) = lidar.source(file, header.channel_id).filter(is_cloud)
-                        && !is_enough
-                    {
-                        is_enough = rings.add(source, data).is_ok() && rings.is_enough(options);
-                    }
-                });
-            }
-            // Without a readable cloud there is no scan either, and the reasons are counted.
-            let chosen = rings.choose(options).map_err(|(asked, found)| no_beam(asked, found))?;
-            beam.ring = chosen.unwrap_or(beam.ring);
+            let rings = read_rings(drive, lidar, options);
+            // Without a readable cloud there is no scan, and the losses say why.
+            beam.ring = rings.choose(options).map_err(no_beam)?.unwrap_or(beam.ring);
         }
         Ok(beam)
     }
+}
+
+fn is_cloud(source: &Source) -> bool {
+    matches!(source.message_type, MessageType::PointCloud2 | MessageType::FoxglovePointCloud)
+}
+
+fn is_packet(source: &Source) -> bool {
+    matches!(source.message_type, MessageType::VelodyneScan | MessageType::VelodynePacket)
+}
+
+/// Reads clouds until the rings and their elevations are known.
+fn read_rings(drive: &Drive<'_>, lidar: &Topic, options: &LidarOptions) -> Rings {
+    let mut rings = Rings::default();
+    let mut buffer = Buffer::default();
+    let mut is_enough = false;
+    for FilePiece { file, log, piece, .. } in drive.pieces_with(&[lidar]) {
+        if is_enough {
+            break;
+        }
+        // Losses are counted later, when the scans are read.
+        chunk::messages(log.bytes(), piece, &mut buffer, |header, data| {
+            if let Some(source) = lidar.source(file, header.channel_id).filter(is_cloud)
+                && !is_enough
+            {
+                is_enough = rings.add(source, data).is_ok() && rings.is_enough(options);
+            }
+        });
+    }
+    rings
 }

@@ -1,6 +1,7 @@
-//! Packets of a Velodyne HDL-32E -> revolutions.
+//! Packets of a Velodyne HDL-32E, from the bytes to complete revolutions.
 
 pub(crate) mod clock;
+pub(crate) mod deduplicate;
 pub(crate) mod device_clock;
 pub(crate) mod model;
 pub(crate) mod packet;
@@ -8,3 +9,4 @@ pub(crate) mod packet_gap;
 pub(crate) mod reorder;
 pub(crate) mod revolution;
 pub(crate) mod split;
+pub(crate) mod stream;

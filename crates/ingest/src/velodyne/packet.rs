@@ -1,30 +1,30 @@
-//! Messages of packets -> the firings of one laser, packet by packet.
+//! Decodes Velodyne packets and extracts the firings of one laser.
 
 use std::collections::BTreeMap;
 
-use dataset::Dropped;
+use dataset::{LossKind, Losses};
 use messages::hdl32e::{self, BLOCK_PERIOD_NS, BLOCKS, Packet, ReturnMode};
 use messages::{Source, read_velodyne};
 
-/// What one packet tells of one laser.
+/// The part of a packet that belongs to one laser.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RingPacket {
-    /// The packet's stamp: when its last firing ended \[ns\].
+    /// Stamp of the packet: the end of its last firing \[ns\].
     pub(crate) end_ns: i64,
-    /// Device clock, microseconds past the hour.
+    /// Device clock \[us past the hour\].
     pub(crate) device_us: u32,
-    /// Firings in the packet: 12, or 6 in dual-return mode.
+    /// Number of firings: 12, or 6 in dual-return mode.
     pub(crate) n_firings: u8,
-    /// The product byte.
+    /// Product byte.
     pub(crate) product: u8,
-    /// Azimuth of each firing's block \[0.01 deg, clockwise\].
+    /// Azimuth of the block of each firing \[0.01 deg, clockwise\].
     pub(crate) azimuth: [u16; BLOCKS],
-    /// Distance measured by the laser \[2 mm\], 0 for none.
+    /// Distance measured by the laser \[2 mm\], 0 for no return.
     pub(crate) distance: [u16; BLOCKS],
 }
 
 impl RingPacket {
-    /// What a packet tells of a laser, given in firing order.
+    /// Extracts the firings of a laser, given by its index in firing order.
     pub(crate) fn new(end_ns: i64, packet: &Packet<'_>, laser: usize) -> Self {
         let mut ring = Self {
             end_ns,
@@ -35,14 +35,14 @@ impl RingPacket {
             distance: std::array::from_fn(|block| packet.distance(block, laser)),
         };
         if packet.return_mode() == Some(ReturnMode::Dual) {
-            ring.take_the_stronger_of_two(packet, laser);
+            ring.keep_stronger_returns(packet, laser);
         }
         ring
     }
 
-    /// In dual-return mode two blocks of one azimuth belong to one firing; the stronger return of
-    /// the two makes the scan, whichever of them comes first.
-    fn take_the_stronger_of_two(&mut self, packet: &Packet<'_>, laser: usize) {
+    /// Merges the two blocks of each firing in dual-return mode. The two blocks have the same
+    /// azimuth, and their order varies. The stronger return is kept.
+    fn keep_stronger_returns(&mut self, packet: &Packet<'_>, laser: usize) {
         self.n_firings = (BLOCKS / 2) as u8;
         for firing in 0..BLOCKS / 2 {
             let (first, second) = (2 * firing, 2 * firing + 1);
@@ -55,36 +55,37 @@ impl RingPacket {
         }
     }
 
-    /// Time that the packet's firings take \[ns\].
+    /// Duration of the packet \[ns\].
     pub(crate) fn period_ns(&self) -> i64 {
         i64::from(self.n_firings) * BLOCK_PERIOD_NS
     }
 
-    /// Whether this is another copy of a packet.
+    /// Whether this packet is a duplicate of another.
     pub(crate) fn repeats(&self, other: &Self) -> bool {
-        // A sensor whose clock stands still, and that does not turn, sends equal packets.
+        // A sensor that does not spin and whose clock stands still sends equal packets.
         let is_spinning = self.azimuth[0] != self.azimuth[usize::from(self.n_firings) - 1];
         self.device_us == other.device_us && self.azimuth == other.azimuth && is_spinning
     }
 }
 
-/// What the messages of a stretch of the log hold.
+/// The packets in one piece of a log.
 #[derive(Debug, Default)]
 pub(crate) struct Packets {
     pub(crate) packets: Vec<RingPacket>,
-    /// Lasers that had a return in the packets looked at, a bit each.
+    /// Lasers with a return in the sampled packets, one bit each.
     pub(crate) lasers_with_returns: u32,
-    /// Packets of other Velodyne models, by name.
+    /// Number of packets of other Velodyne models, by model name.
     pub(crate) foreign: BTreeMap<&'static str, u64>,
-    pub(crate) dropped: Dropped,
+    pub(crate) losses: Losses,
 }
 
-/// One packet in so many is looked at for the lasers that have returns: a number that no turn's
-/// packets are a multiple of, so that every part of the circle is seen.
-const LOOKED_AT: usize = 7;
+/// One packet in this many is sampled for lasers with returns. The number of packets per revolution
+/// is not a multiple of it, so the samples cover the whole circle.
+const SAMPLING_INTERVAL: usize = 7;
 
 impl Packets {
-    /// Adds the packets of one message; a packet that is none of an HDL-32E's is counted.
+    /// Adds the packets of one message. Packets that do not have the HDL-32E layout are counted as
+    /// losses.
     pub(crate) fn add(
         &mut self,
         source: Source,
@@ -96,7 +97,7 @@ impl Packets {
         for (end_ns, bytes) in scan.packets() {
             match Packet::new(bytes) {
                 Ok(packet) => {
-                    if self.packets.len().is_multiple_of(LOOKED_AT) {
+                    if self.packets.len().is_multiple_of(SAMPLING_INTERVAL) {
                         self.lasers_with_returns |= packet.returns_of();
                     }
                     self.packets.push(RingPacket::new(end_ns, &packet, laser));
@@ -105,7 +106,7 @@ impl Packets {
                     if let Some(model) = hdl32e::foreign_layout(bytes) {
                         *self.foreign.entry(model).or_default() += 1;
                     }
-                    self.dropped.add("packets without the layout of an HDL-32E data packet", 1);
+                    self.losses.add(LossKind::MalformedPackets, 1);
                 }
             }
         }
@@ -122,7 +123,7 @@ pub(crate) mod tests {
 
     const LASER: usize = hdl32e::HORIZONTAL_LASER;
 
-    /// Packets of a sensor that turns by `step` \[0.01 deg\] a block, starting at `azimuth`; each
+    /// Packets of a sensor that spins by `step` \[0.01 deg\] per block, starting at `azimuth`. Each
     /// firing measures 5 m. The clock wraps at the top of the hour after the third packet.
     pub(crate) fn packets(n: usize, azimuth: u32, step: u32) -> Vec<RingPacket> {
         (0..n)
@@ -141,7 +142,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn the_stronger_of_two_returns_makes_the_scan_in_either_order() {
+    fn dual_return_mode_keeps_the_stronger_return_in_either_order() {
         let mut builder = PacketBuilder::new(std::array::from_fn(|k| 100 * (k as u16 / 2)), 0);
         builder.set_return_mode(ReturnMode::Dual);
         builder.set_return(0, LASER, 111, 50); // last, weaker
@@ -159,7 +160,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn packets_of_another_layout_are_counted_and_named() {
+    fn packets_of_another_layout_are_counted_and_their_model_is_named() {
         let mut good = PacketBuilder::new([5; BLOCKS], 0);
         good.set_return(3, 11, 500, 9);
         let good = good.finish();
@@ -176,7 +177,7 @@ pub(crate) mod tests {
             found.add(source, &message, laser).unwrap();
             assert_eq!(found.packets.len(), 1);
             assert_eq!(found.packets[0].distance[3], if laser == 11 { 500 } else { 0 });
-            assert_eq!(found.dropped.iter().map(|(_, n)| n).collect::<Vec<_>>(), [2]);
+            assert_eq!((found.losses.total(), found.losses.count("malformed_packets")), (2, 2));
             assert_eq!(found.foreign.into_iter().collect::<Vec<_>>(), [("HDL-64E", 1)]);
             assert_eq!(found.lasers_with_returns, 1 << 11);
         }

@@ -1,4 +1,4 @@
-//! The firings of one turn -> a scan.
+//! Converts the firings of one revolution into a scan.
 
 use std::f64::consts::TAU;
 use std::sync::LazyLock;
@@ -10,97 +10,96 @@ use crate::deskew::motion::Smear;
 use crate::options::LidarOptions;
 use crate::velodyne::model::Laser;
 
-/// Azimuth is counted in 1/40 of 0.01 deg, in which the azimuth of every laser of a block is a
-/// whole number: laser `k` fires `k / 40` of a block period after the block's azimuth was read.
+/// Fine azimuth counts per count of 0.01 deg. Laser `k` fires `k / 40` of a block period after the
+/// azimuth of its block was read, so the azimuth of every laser is a whole number of fine counts.
 pub(crate) const FINE_PER_COUNT: u32 = PERIODS_PER_BLOCK as u32;
-/// Fine counts in a turn.
+/// Fine azimuth counts per revolution.
 pub(crate) const FINE_PER_REVOLUTION: u32 = AZIMUTH_COUNTS as u32 * FINE_PER_COUNT;
 
 /// One firing of the laser.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Firing {
-    /// \[1/40 of 0.01 deg, clockwise\], below a full turn.
+    /// Azimuth, less than a full revolution \[1/40 of 0.01 deg, clockwise\].
     pub(crate) fine_azimuth: u32,
-    /// \[2 mm\], 0 for no return.
+    /// Distance \[2 mm\], 0 for no return.
     pub(crate) distance: u16,
-    /// When it fired: block periods since the first firing of the turn, those of missing packets
-    /// included.
+    /// Time of the firing, in block periods since the first firing of the revolution. Missing packets
+    /// count too.
     pub(crate) slot: u16,
 }
 
 /// The firings between two passes of azimuth 0.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Revolution {
-    /// When the first firing of the laser happened \[ns\].
+    /// Time of the first firing of the laser \[ns\].
     pub(crate) stamp_ns: i64,
     pub(crate) firings: Vec<Firing>,
-    /// The farthest azimuth of a firing, in its counts.
+    /// The farthest azimuth reached \[fine counts\].
     pub(crate) reached: u32,
-    /// Sum of the steps from each firing to where the next is due \[0.01 deg\].
+    /// Sum of the azimuth steps after each firing \[0.01 deg\].
     pub(crate) swept: u64,
-    /// Azimuth passed without a packet \[0.01 deg\], up to the next firing there is.
+    /// Azimuth without packets \[0.01 deg\].
     pub(crate) missed: u64,
-    /// The widest stretch of that \[0.01 deg\].
-    pub(crate) widest_hole: u64,
-    /// The step of the last firing.
+    /// The widest azimuth range without packets \[0.01 deg\].
+    pub(crate) widest_gap: u64,
+    /// Azimuth step after the last firing \[0.01 deg\].
     pub(crate) last_step: u32,
     /// The slot of the next firing.
     pub(crate) next_slot: u16,
-    /// Whether the turn's start was seen: the firing before it lies in another turn, or is due
-    /// before azimuth 0.
-    pub(crate) starts_at_cut: bool,
+    /// Whether the revolution is known to start at azimuth 0: the firing before its first one lies
+    /// in another revolution.
+    pub(crate) starts_at_zero: bool,
 }
 
 impl Revolution {
-    /// Passes over azimuth for which there is no packet \[0.01 deg\].
-    pub(crate) fn miss(&mut self, azimuth: u64) {
+    /// Records an azimuth range without packets \[0.01 deg\].
+    pub(crate) fn add_gap(&mut self, azimuth: u64) {
         self.missed += azimuth;
-        self.widest_hole = self.widest_hole.max(azimuth);
+        self.widest_gap = self.widest_gap.max(azimuth);
     }
 
-    /// Passes over the time of firings that are missing.
+    /// Advances the time by the firings of missing packets.
     pub(crate) fn skip_slots(&mut self, n_firings: u64) {
         let n = u16::try_from(n_firings).unwrap_or(u16::MAX);
         self.next_slot = self.next_slot.saturating_add(n);
     }
 
-    /// When its last firing happened \[ns\].
+    /// Time of the last firing \[ns\].
     pub(crate) fn end_ns(&self) -> i64 {
         let last = self.firings.last().map_or(0, |firing| firing.slot);
         self.stamp_ns.saturating_add(i64::from(last) * BLOCK_PERIOD_NS)
     }
 
-    /// Share of the circle for which there is no packet. A firing or two at the cut are no hole.
+    /// Share of the circle without packets. One or two missing firings at azimuth 0 do not count.
     pub(crate) fn missing_share(&self) -> f64 {
         let slack = 2 * u64::from(self.last_step).min(100);
         let missing = u64::from(AZIMUTH_COUNTS).saturating_sub(self.swept + slack);
         missing as f64 / f64::from(AZIMUTH_COUNTS)
     }
 
-    /// Angle from the first firing to the last \[deg\], what was missed between included: a turn of
-    /// which packets are missing is a full circle all the same.
+    /// Angle from the first firing to the last \[deg\]. It includes gaps: a revolution with missing
+    /// packets is still a full circle.
     fn coverage_deg(&self) -> f32 {
         (self.swept + self.missed).saturating_sub(u64::from(self.last_step)) as f32 / 100.0
     }
 }
 
-/// Turns -> scans.
+/// Converts revolutions into scans.
 pub(crate) struct ScanBuilder {
     limits: RangeLimits,
-    /// Sign of y for an azimuth that is clockwise from above.
+    /// Sign of y for an azimuth that is clockwise seen from above.
     side: f64,
-    /// Cosine of the beam's elevation: a range's share in the plane.
+    /// Cosine of the elevation of the beam: projects a range onto the plane.
     horizontal: f64,
     /// Cosine and sine of every tenth of a degree.
     directions: &'static [[f64; 2]],
 }
 
-/// Counts of azimuth from one entry of the table to the next: so few entries stay in the nearest
-/// cache.
+/// Azimuth counts per table entry. With so few entries the table stays in the L1 cache.
 const COUNTS_PER_ENTRY: u32 = 10;
 const FINE_PER_ENTRY: u32 = FINE_PER_COUNT * COUNTS_PER_ENTRY;
 
-/// The same for every log.
+/// Cosine and sine of the table angles, shared by all logs.
 static DIRECTIONS: LazyLock<Vec<[f64; 2]>> = LazyLock::new(|| {
     let n_entries = u32::from(AZIMUTH_COUNTS) / COUNTS_PER_ENTRY;
     let direction = |entry| {
@@ -123,12 +122,15 @@ impl ScanBuilder {
         }
     }
 
-    /// x forward, y left (REP 103); azimuth 0 is forward and azimuth grows clockwise:
-    /// x = r cos e cos a, y = -r cos e sin a, with e the beam's elevation. Upside down, rolled about
-    /// x, azimuth grows counter-clockwise. The range limits hold for r.
+    /// Converts a revolution into a scan.
     ///
-    /// With the motion during the turn, returns are moved to where they would have been seen from at
-    /// its stamp.
+    /// x points forward and y left (REP 103). Azimuth 0 is forward, and azimuth grows clockwise:
+    /// x = r cos e cos a, y = -r cos e sin a, where r is the range and e the elevation of the beam.
+    /// If the sensor is mounted upside down (rolled about x), azimuth grows counter-clockwise. The
+    /// range limits apply to r.
+    ///
+    /// If the motion during the revolution is given, each return is moved to the lidar frame at the
+    /// stamp of the scan.
     pub(crate) fn scan(&self, revolution: &Revolution, smear: Option<&Smear>) -> Scan {
         let n_returns = revolution.firings.iter().filter(|firing| firing.distance != 0).count();
         let mut scan = Scan {
@@ -136,7 +138,7 @@ impl ScanBuilder {
             x_m: Vec::with_capacity(n_returns),
             y_m: Vec::with_capacity(n_returns),
             coverage_deg: revolution.coverage_deg(),
-            hole_deg: revolution.widest_hole as f32 / 100.0,
+            hole_deg: revolution.widest_gap as f32 / 100.0,
         };
         for firing in &revolution.firings {
             let range_m = f64::from(firing.distance) * METRES_PER_COUNT;
@@ -147,7 +149,7 @@ impl ScanBuilder {
                         let [cos, sin] = self.direction(firing.fine_azimuth);
                         [planar_m * cos, self.side * planar_m * sin]
                     }
-                    Some(smear) => self.moved(firing, planar_m, smear),
+                    Some(smear) => self.deskewed(firing, planar_m, smear),
                 };
                 scan.x_m.push(x_m as f32);
                 scan.y_m.push(y_m as f32);
@@ -156,30 +158,33 @@ impl ScanBuilder {
         scan
     }
 
-    /// A return in the lidar frame of the turn's stamp: a lidar that has turned left by h since has
-    /// seen it h farther left.
-    fn moved(&self, firing: &Firing, planar_m: f64, smear: &Smear) -> [f64; 2] {
+    /// Position of a return in the lidar frame at the stamp of the scan. If the lidar has rotated
+    /// left by h since the stamp, the return lies h farther left.
+    fn deskewed(&self, firing: &Firing, planar_m: f64, smear: &Smear) -> [f64; 2] {
         let [dx, dy, heading] = smear.at(i64::from(firing.slot) * BLOCK_PERIOD_NS);
-        let turned = self.side * heading * (f64::from(FINE_PER_REVOLUTION) / TAU);
-        let mut fine = f64::from(firing.fine_azimuth) + turned;
+        let rotation = self.side * heading * (f64::from(FINE_PER_REVOLUTION) / TAU);
+        let mut fine = f64::from(firing.fine_azimuth) + rotation;
         let revolution = f64::from(FINE_PER_REVOLUTION);
         if !(0.0..revolution).contains(&fine) {
             fine = fine.rem_euclid(revolution);
         }
-        // Whole counts by the table, the rest by its series; what rounds up to a turn is none.
+        // The table covers whole counts, the series the rest. `rem_euclid` can round up to a full
+        // revolution, so limit the index.
         let whole = (fine as u32).min(FINE_PER_REVOLUTION - 1);
         let [cos, sin] = self.direction_near(whole, fine - f64::from(whole));
         [dx + planar_m * cos, dy + self.side * planar_m * sin]
     }
 
-    /// Cosine and sine of an azimuth: those of the table's entry before it, turned on by the rest d,
-    /// which is less than 1.8e-3 rad, so that their series to d^4 and d^5 are exact in f64.
+    /// Cosine and sine of an azimuth.
+    ///
+    /// The table entry before the azimuth is rotated by the remaining angle d. d is less than
+    /// 1.8e-3 rad, so the series up to d^4 and d^5 are exact in f64.
     #[inline]
     fn direction(&self, fine_azimuth: u32) -> [f64; 2] {
         self.direction_near(fine_azimuth, 0.0)
     }
 
-    /// Of an azimuth and a part of a fine count.
+    /// Cosine and sine of an azimuth plus a part of a fine count.
     #[inline]
     fn direction_near(&self, fine_azimuth: u32, part: f64) -> [f64; 2] {
         let [cos, sin] = self.directions[(fine_azimuth / FINE_PER_ENTRY) as usize];
@@ -196,13 +201,14 @@ impl ScanBuilder {
 mod tests {
     use super::*;
 
-    fn maker(options: &LidarOptions) -> ScanBuilder {
+    fn builder(options: &LidarOptions) -> ScanBuilder {
         ScanBuilder::new(options, Laser::HORIZONTAL)
     }
 
-    /// 5 m at azimuth 90 deg, clockwise: to the right, y = -5; upside down to the left.
+    /// A return at 5 m and azimuth 90 deg (clockwise) lies to the right, y = -5; mounted upside down
+    /// it lies to the left.
     #[test]
-    fn azimuth_is_clockwise_and_mirrored_upside_down() {
+    fn azimuth_is_clockwise_and_mirrored_if_mounted_upside_down() {
         let firing = |deg: u32, distance| Firing { fine_azimuth: deg * 4000, distance, slot: 0 };
         let revolution = Revolution {
             firings: vec![
@@ -215,9 +221,9 @@ mod tests {
             ..Revolution::default()
         };
         for (upside_down, y) in [(false, -5.0), (true, 5.0)] {
-            let scan = maker(&LidarOptions { upside_down, ..LidarOptions::default() })
+            let scan = builder(&LidarOptions { upside_down, ..LidarOptions::default() })
                 .scan(&revolution, None);
-            assert_eq!(scan.len(), 3, "no return and 0.898 m are left out, 0.9 m is kept");
+            assert_eq!(scan.len(), 3, "the missing return and 0.898 m are left out, 0.9 m is kept");
             assert_eq!((scan.x_m[0], scan.y_m[0].abs()), (5.0, 0.0));
             assert!(scan.x_m[1].abs() < 1e-6 && (scan.y_m[1] - y).abs() < 1e-6);
         }
@@ -225,18 +231,18 @@ mod tests {
 
     #[test]
     fn directions_are_exact_between_the_counts() {
-        let maker = maker(&LidarOptions::default());
+        let builder = builder(&LidarOptions::default());
         for fine in (0..FINE_PER_REVOLUTION).step_by(97) {
             let angle = f64::from(fine) * TAU / f64::from(FINE_PER_REVOLUTION);
-            let [cos, sin] = maker.direction(fine);
-            // The angle itself is rounded to 9e-16.
+            let [cos, sin] = builder.direction(fine);
+            // The angle has a rounding error of 9e-16.
             assert!((cos - angle.cos()).abs() < 2e-15 && (sin - angle.sin()).abs() < 2e-15);
         }
     }
 
-    /// Laser 1 looks down by 28/3 deg: of 10 m, cos(28/3 deg) = 0.986762 lie in the plane.
+    /// Laser 1 points down by 28/3 deg. In the plane, 10 m become 10 m cos(28/3 deg) = 9.86762 m.
     #[test]
-    fn a_slanted_beam_is_laid_into_the_plane_and_limited_by_its_range() {
+    fn a_slanted_beam_is_projected_and_limited_by_its_range() {
         let options = LidarOptions { range_max_m: 10.0, ..LidarOptions::default() };
         let firings = vec![
             Firing { fine_azimuth: 0, distance: 5000, slot: 0 },
@@ -244,7 +250,7 @@ mod tests {
         ];
         let revolution = Revolution { firings, ..Revolution::default() };
         let scan = ScanBuilder::new(&options, Laser::new(1)).scan(&revolution, None);
-        assert_eq!(scan.len(), 1, "10.002 m is beyond, whatever its share in the plane");
+        assert_eq!(scan.len(), 1, "the range of 10.002 m is over the limit, although its projection is not");
         assert!((scan.x_m[0] - 9.867_62).abs() < 1e-5);
     }
 }
