@@ -42,6 +42,9 @@ codes! {
             /// The largest size that is accepted.
             max_bytes: u64,
         } => "chunk{s} that claim more than {max_bytes} bytes";
+        /// A chunk claims more bytes than the memory of the machine.
+        Warning "chunks_beyond_memory" ChunksBeyondMemory
+            => "chunk{s} that claim more bytes than this machine has memory";
         /// A chunk of unknown compression.
         Warning "chunks_of_unknown_compression" ChunksOfUnknownCompression {
             /// The name in the header.
@@ -60,6 +63,9 @@ codes! {
         /// A message belongs to a channel that the file does not define.
         Warning "undefined_channel" UndefinedChannel
             => "message{s} of a channel that the file does not define";
+        /// The statistics of the file count more messages than it contains.
+        Warning "missing_messages" MissingMessages
+            => "message{s} counted in the statistics of the file but not in its data";
         /// A file of a split drive that `metadata.yaml` lists is missing.
         Warning "missing_drive_file" MissingDriveFile
             => "file{s} listed in metadata.yaml but missing (if it is compressed, decompress it)";

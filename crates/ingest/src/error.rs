@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use dataset::Losses;
 
+use crate::pose::frames::LookupError;
+
 /// Why a log cannot be ingested.
 #[derive(Debug, thiserror::Error)]
 pub enum IngestError {
@@ -71,7 +73,7 @@ pub enum IngestError {
     },
     /// The transforms do not give poses.
     #[error(
-        "{path}: no poses of frame `{child}` in frame `{parent}`: {why}; {found}; set `ingest.pose.frames` to two connected frames"
+        "{path}: no poses of frame `{child}` in frame `{parent}`; the transforms contain {found}: set `ingest.pose.frames` to two connected frames"
     )]
     NoFrames {
         /// The log.
@@ -80,10 +82,10 @@ pub enum IngestError {
         parent: String,
         /// The frame that should move.
         child: String,
-        /// What is wrong.
-        why: &'static str,
         /// The frames in the log.
         found: String,
+        /// What is wrong.
+        source: LookupError,
     },
     /// The wheel samples do not give poses.
     #[error("{path}: cannot fuse poses from topic `{topic}`")]

@@ -1,19 +1,17 @@
-//! `ingest`: the bytes of a log -> scans and poses.
+//! Reads scans and poses from MCAP logs.
 //!
 //! ```text
-//! log.mcap ──log──► pieces ──chunk──► messages ──ring──► packets ──order──► turns ──► scans
-//!                                              ├─cloud──────────────────────────────► scans
-//!                                              ├─planar─────────────────────────────► scans
-//!                                              └─motion─► trajectory
+//! log.mcap ──mcap──► messages ──velodyne──► revolutions ──┐
+//!                         ├─────scan (clouds, planar)─────┼──deskew──► scans
+//!                         └─────pose──► readings──────────┴──────────► trajectory
 //! ```
 //!
-//! A log is memory-mapped and read piece by piece, some pieces at once, so that memory does not
-//! grow with it. Topics that nobody asked for are not decoded, and chunks that hold none of the
-//! topics asked for are not decompressed. A drive that was recorded as several files is read as one
-//! log.
+//! A log is memory-mapped and read piece by piece, several pieces in parallel, so the memory use
+//! does not grow with the log. Only the topics in the options are decoded, and only chunks with these
+//! topics are decompressed. A drive that was recorded as several files is read as one log.
 //!
-//! The result depends on the logs' bytes and the options alone: pieces are decoded in parallel but
-//! joined in the order of the file.
+//! The result depends only on the bytes of the logs and the options. Pieces are decoded in parallel,
+//! but assembled in file order.
 
 mod deskew;
 mod drive;
@@ -31,10 +29,11 @@ use dataset::Scan;
 use rayon::prelude::*;
 
 pub use crate::mcap::log::{Channel, Contents, Log};
-pub use error::IngestError;
+pub use error::{IngestError, NoScansReason};
 pub use messages::MessageType;
 pub use messages::hdl32e::HORIZONTAL_LASER;
-pub use options::{Clock, LidarOptions, OptionError, Options};
+pub use options::{Clock, LidarOptions, Options};
+pub use pose::frames::LookupError;
 pub use pose_options::{Frames, Origin, PlanarPose, PoseOptionError, PoseOptions};
 pub use scan::assemble::Ingested;
 pub use survey::gather::survey;
@@ -47,15 +46,15 @@ pub use types::{FRAME_TYPES, IMU_TYPES, LIDAR_TYPES, POSE_TYPES, WHEEL_TYPES};
 use crate::mcap::chunk::Buffer;
 use drive::topic::{Drive, FilePiece, Topic};
 use drive::window::{Part, forget, windows};
-use pose::trajectory::PoseTopics;
+use pose::topics::PoseTopics;
 use scan::assemble::Assembler;
 use scan::beam::Beam;
 use scan::decode::{Decoded, Reader};
 
-/// Reads a drive, one log or several that were split from one: hands its scans to `take` in order,
-/// a batch at a time, and returns the rest.
+/// Reads a drive from one log, or from several logs that it was split into. Passes its scans to
+/// `take` in batches, in order, and returns the rest.
 ///
-/// `progress` is told how many bytes of the files have been read.
+/// `progress` is called with the number of bytes read so far.
 pub fn ingest<E: From<IngestError> + Send>(
     logs: &[&Log],
     options: &Options,
@@ -69,29 +68,29 @@ pub fn ingest<E: From<IngestError> + Send>(
         None => None,
     };
     let beam = Beam::choose(&drive, &lidar, &options.lidar)?;
-    let mut dropped = drive.dropped();
-    let of_pose: Vec<&Topic> = pose.iter().flat_map(PoseTopics::all).collect();
-    let topics: Vec<&Topic> = [&lidar].into_iter().chain(of_pose.iter().copied()).collect();
-    topics.iter().for_each(|topic| dropped.merge(topic.unfit.clone()));
-    let windows = windows(&drive, &lidar, &of_pose);
-    let reader = Reader { lidar: &lidar, of_pose: &of_pose, beam, options };
+    let mut losses = drive.losses();
+    let pose_topics: Vec<&Topic> = pose.iter().flat_map(PoseTopics::all).collect();
+    let topics: Vec<&Topic> = [&lidar].into_iter().chain(pose_topics.iter().copied()).collect();
+    topics.iter().for_each(|topic| losses.merge(topic.losses.clone()));
+    let windows = windows(&drive, &lidar, &pose_topics);
+    let reader = Reader { lidar: &lidar, pose_topics: &pose_topics, beam, options };
     let decode_window = |(part, window): &(Part, Vec<FilePiece<'_>>)| -> Vec<Decoded> {
         window
             .par_iter()
             .map_init(Buffer::default, |buffer, piece| reader.decode(piece, *part, buffer))
             .collect()
     };
-    let mut assembler = Assembler::new(options, beam.laser, dropped);
-    // The pieces of a window are decoded side by side, and joined in the order of the file while
-    // the next window is being decoded.
+    let mut assembler = Assembler::new(options, beam.laser, losses);
+    // The pieces of a window are decoded in parallel. They are assembled in file order while the
+    // next window is decoded.
     let mut decoded = windows.first().map(decode_window).unwrap_or_default();
     for (k, (_, window)) in windows.iter().enumerate() {
         let next = windows.get(k + 1);
-        let (joined, next_decoded) = rayon::join(
-            || assembler.join(std::mem::take(&mut decoded), &mut take),
+        let (added, next_decoded) = rayon::join(
+            || assembler.add(std::mem::take(&mut decoded), &mut take),
             || next.map(decode_window).unwrap_or_default(),
         );
-        joined?;
+        added?;
         if let Some(other) = assembler.other_sensor() {
             return Err(IngestError::OtherSensor {
                 path: drive.path(),
@@ -107,6 +106,6 @@ pub fn ingest<E: From<IngestError> + Send>(
         decoded = next_decoded;
         forget(window, &progress);
     }
-    assembler.expect_messages(drive.n_messages(&topics));
-    assembler.finish(&drive.path(), lidar, pose.as_ref(), take)
+    assembler.check_message_count(drive.n_messages(&topics));
+    assembler.finish(&drive.path(), &lidar, pose.as_ref(), take)
 }

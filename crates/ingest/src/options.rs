@@ -1,47 +1,47 @@
-//! What to take from a log.
+//! The options of ingestion.
 
+use dataset::OutOfRange;
 use messages::hdl32e::LASERS;
 use serde::{Deserialize, Serialize};
 
 use crate::pose_options::{PlanarPose, PoseOptions};
 pub use crate::velodyne::clock::Clock;
 
-/// Where scans come from; the section `[ingest.lidar]`.
+/// Where scans come from: the section `[ingest.lidar]`.
 ///
-/// Of `laser`, `ring` and `elevation_deg` one may be given; without any it is the horizontal beam.
+/// At most one of `laser`, `ring` and `elevation_deg` can be set. The default is the horizontal beam.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct LidarOptions {
     /// Topic with packets (`VelodyneScan`, `VelodynePacket`), point clouds (`PointCloud2`,
-    /// `foxglove.PointCloud`) or planar scans (`LaserScan`, `foxglove.LaserScan`); the schema tells
-    /// which.
+    /// `foxglove.PointCloud`) or planar scans (`LaserScan`, `foxglove.LaserScan`). The schema of the
+    /// topic selects the decoder.
     pub topic: String,
-    /// The laser that makes the scan, in firing order, 0 to 31; of packets only.
+    /// The laser that makes the scan, in firing order, 0 to 31. For packets only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub laser: Option<u32>,
-    /// The ring that makes the scan, 0 being the lowest beam; of packets and point clouds.
+    /// The ring that makes the scan. Ring 0 is the lowest beam. For packets and point clouds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ring: Option<u32>,
-    /// The scan is made of the beam nearest to this elevation \[deg\], not more than 0.7 deg away.
+    /// The beam with the nearest elevation makes the scan \[deg\]. It must be within 0.7 deg.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub elevation_deg: Option<f64>,
     /// Returns nearer than this are left out \[m\].
     pub range_min_m: f64,
     /// Returns farther than this are left out \[m\].
     pub range_max_m: f64,
-    /// The sensor hangs upside down: its scans are mirrored, so that y is left again.
+    /// Whether the sensor is mounted upside down. Its scans are mirrored, so that y points left.
     pub upside_down: bool,
-    /// Where the lidar is on the robot, whose pose it is that is logged; without it the logged poses
-    /// are the lidar's own.
+    /// Pose of the lidar on the robot. Without it, the logged poses are taken as poses of the lidar.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mount: Option<PlanarPose>,
-    /// Each return is moved to where it would have been seen from at the scan's stamp, where the
-    /// robot's motion is known often enough: poses, or wheels and IMU, at least every 0.25 s.
+    /// Whether to deskew scans: move each return to where it would be seen from at the stamp of the
+    /// scan. This needs poses, or wheels and IMU, at least every 0.25 s.
     pub deskew: bool,
-    /// A turn of which a larger share of the packets is missing is dropped and counted.
+    /// Revolutions with a larger share of missing packets are dropped.
     pub max_missing_share: f64,
-    /// Where the time of a scan made of packets comes from.
+    /// The clock that gives the time of a scan from packets.
     pub clock: Clock,
 }
 
@@ -63,20 +63,12 @@ impl Default for LidarOptions {
     }
 }
 
-/// An option out of range.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("`ingest.lidar.{key}` is {found}, expected {expected}")]
-pub struct OptionError {
-    key: String,
-    found: f64,
-    expected: &'static str,
-}
-
 impl LidarOptions {
-    /// Refuses values out of range.
-    pub fn check(&self) -> Result<(), OptionError> {
-        let fail =
-            |key: &str, found, expected| Err(OptionError { key: key.to_owned(), found, expected });
+    /// Checks that every option is in its range.
+    pub fn check(&self) -> Result<(), OutOfRange> {
+        let fail = |key: &str, found, expected| {
+            Err(OutOfRange::new(format!("ingest.lidar.{key}"), found, expected))
+        };
         let (min, max, share) = (self.range_min_m, self.range_max_m, self.max_missing_share);
         if !(min.is_finite() && 0.0 <= min) {
             return fail("range_min_m", min, "0 or more");
@@ -90,7 +82,7 @@ impl LidarOptions {
         if let Some(laser) = self.laser
             && LASERS <= laser as usize
         {
-            return fail("laser", f64::from(laser), "0 to 31, the lasers in firing order");
+            return fail("laser", f64::from(laser), "0 to 31 (index in firing order)");
         }
         if let Some(deg) = self.elevation_deg
             && !(-90.0..=90.0).contains(&deg)
@@ -100,24 +92,24 @@ impl LidarOptions {
         if let Some((key, found)) = self.mount.and_then(|mount| mount.not_finite()) {
             return fail(&format!("mount.{key}"), found, "a finite number");
         }
-        let alternative = "no more than one of `laser`, `ring` and `elevation_deg`";
+        let expected = "at most one of `laser`, `ring` and `elevation_deg`";
         match (self.laser, self.ring, self.elevation_deg) {
             (Some(laser), Some(_), _) | (Some(laser), _, Some(_)) => {
-                fail("laser", f64::from(laser), alternative)
+                fail("laser", f64::from(laser), expected)
             }
-            (_, Some(ring), Some(_)) => fail("ring", f64::from(ring), alternative),
+            (_, Some(ring), Some(_)) => fail("ring", f64::from(ring), expected),
             _ => Ok(()),
         }
     }
 }
 
-/// What to take from one log.
+/// The options for one log.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// The lidar.
+    /// Where scans come from.
     pub lidar: LidarOptions,
-    /// The poses; none leaves the trajectory empty.
+    /// Where poses come from. Without it, the trajectory is empty.
     pub pose: Option<PoseOptions>,
 }
 
@@ -126,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_beam_is_named_in_one_way() {
+    fn at_most_one_option_selects_the_beam() {
         let options = |laser, ring, elevation_deg| {
             LidarOptions { laser, ring, elevation_deg, ..LidarOptions::default() }.check()
         };
@@ -145,13 +137,10 @@ mod tests {
                 options(laser, ring, elevation_deg)
                     .unwrap_err()
                     .to_string()
-                    .contains("no more than one")
+                    .contains("at most one of")
             );
         }
         let message = options(Some(32), None, None).unwrap_err().to_string();
-        assert_eq!(
-            message,
-            "`ingest.lidar.laser` is 32, expected 0 to 31, the lasers in firing order"
-        );
+        assert_eq!(message, "`ingest.lidar.laser` is 32, expected 0 to 31 (index in firing order)");
     }
 }

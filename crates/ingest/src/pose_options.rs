@@ -1,48 +1,51 @@
-//! Where poses come from.
+//! The options for poses.
 
-use dataset::Pose2;
+use dataset::{OutOfRange, Pose2};
 use serde::{Deserialize, Serialize};
 
-/// Where poses come from; the section `[ingest.pose]`: a `topic` that has them, `frames` between
-/// which transforms lead, or `wheels` and `imu`, from which they are made.
+/// Where poses come from: the section `[ingest.pose]`.
+///
+/// Set one of `topic` (a topic with poses), `frames` (two frames connected by transforms) and `wheels`
+/// (with `imu`: poses are fused).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct PoseOptions {
     /// Topic with `PoseStamped`, `PoseWithCovarianceStamped`, `Odometry`, `foxglove.PoseInFrame` or
-    /// `NavSatFix` messages; the schema tells which.
+    /// `NavSatFix` messages. The schema of the topic selects the decoder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub topic: Option<String>,
-    /// Two frames, of whose transforms (`TFMessage`, `foxglove.FrameTransform`) poses are made.
+    /// Two frames. Poses are made from the transforms between them (`TFMessage`,
+    /// `foxglove.FrameTransform`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames: Option<Frames>,
-    /// Where fixes of a satellite receiver are counted from; without it from the log's first fix,
-    /// in a map frame of its own.
+    /// Origin of the map frame for satellite fixes. Without it, the first fix of the log is the origin
+    /// of a map frame of this log alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub origin: Option<Origin>,
-    /// Poses that would take a faster robot are reported \[m/s\].
+    /// Maximum speed of the robot. Poses that need a higher speed are reported \[m/s\].
     pub max_speed_m_s: f64,
-    /// Topic with the speeds of the wheels, `JointState` (names with `left` and `right` in them), or
-    /// with `Odometry`, whose twist is taken.
+    /// Topic with wheel speeds: `JointState` (joint names that contain `left` or `right`), or `Odometry`,
+    /// of which the twist is used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wheels: Option<String>,
     /// Topic with `Imu` messages.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub imu: Option<String>,
-    /// Distance between the contact points of the left and the right wheel \[m\].
+    /// Track width: distance between the contact points of the left and the right wheel \[m\].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub track_m: Option<f64>,
-    /// Radius of the wheels, where a `JointState` tells their angles \[m\]; without it positions are
+    /// Radius of the wheels, if the `JointState` messages contain angles \[m\]. Without it, positions are
     /// in m and velocities in m/s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wheel_radius_m: Option<f64>,
-    /// Whether headings of the `Imu` messages' orientation are used, which need not be those of the
-    /// map: their offset is estimated.
+    /// Whether to use the headings in the orientation of the `Imu` messages. Their offset to the map is
+    /// estimated.
     pub use_heading: bool,
-    /// Pose at the first reading of the wheels; without it the log has a map frame of its own.
+    /// Pose at the first wheel reading. Without it, the poses are in a map frame of this log alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub start: Option<PlanarPose>,
-    /// What is known of the robot and its sensors.
+    /// Properties of the robot and its sensors.
     pub fuse: fuse::Options,
 }
 
@@ -64,7 +67,7 @@ impl Default for PoseOptions {
     }
 }
 
-/// A pose in a plane: of a robot in the site's map frame, or of a sensor on the robot.
+/// A pose in the plane: of the robot in the map frame of the site, or of a sensor on the robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -83,24 +86,23 @@ impl PlanarPose {
         Pose2 { x_m: self.x_m, y_m: self.y_m, heading_rad: self.heading_deg.to_radians() }
     }
 
-    /// A value that is not finite, and its key.
+    /// The key and value of a value that is not finite.
     pub(crate) fn not_finite(&self) -> Option<(&'static str, f64)> {
         let values = [("x_m", self.x_m), ("y_m", self.y_m), ("heading_deg", self.heading_deg)];
         values.into_iter().find(|(_, value)| !value.is_finite())
     }
 }
 
-/// Frames of a robot, by the names that transforms give them (REP 105).
+/// Two coordinate frames, by their names in the transforms (REP 105).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Frames {
     /// The frame of the map, such as `map` or `odom`.
     pub parent: String,
-    /// The frame that moves in it: the lidar's, or the robot's, on which `ingest.lidar.mount` places
-    /// the lidar.
+    /// The frame that moves: that of the lidar, or that of the robot with `ingest.lidar.mount` set.
     pub child: String,
-    /// The topics that have the transforms, of those there are.
+    /// The topics with transforms. Topics that do not exist are ignored if at least one does.
     #[serde(default = "Frames::default_topics")]
     pub topics: Vec<String>,
 }
@@ -111,7 +113,7 @@ impl Frames {
     }
 }
 
-/// A point on the earth (WGS 84), the origin of a map frame whose x points east and y north.
+/// A point on the earth (WGS 84): the origin of a map frame with x pointing east and y north.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -126,97 +128,149 @@ pub struct Origin {
 }
 
 impl PoseOptions {
-    /// Poses of a topic that has them.
+    /// Options for a topic with poses.
     pub fn of_topic(topic: impl Into<String>) -> Self {
         Self { topic: Some(topic.into()), ..Self::default() }
     }
 
-    /// Whether the poses are in a map frame of the log's own: where its wheels were first read.
+    /// Whether the poses are in a map frame of this log alone, starting at the first wheel reading.
     pub fn is_own_frame(&self) -> bool {
         self.wheels.is_some() && self.start.is_none()
     }
 
-    /// Refuses contradictions and values out of range.
+    /// Checks that the options do not contradict each other and are in range.
     pub fn check(&self) -> Result<(), PoseOptionError> {
-        let fail = |detail: String| Err(PoseOptionError { detail });
-        let is_given = [
+        let sources = [
             ("topic", self.topic.is_some()),
             ("frames", self.frames.is_some()),
             ("wheels", self.wheels.is_some()),
         ];
-        let given: Vec<_> =
-            is_given.into_iter().filter(|(_, is)| *is).map(|(key, _)| key).collect();
-        let [source] = given.as_slice() else {
-            let found = match given.as_slice() {
+        let set: Vec<_> = sources.into_iter().filter(|(_, is_set)| *is_set).map(|s| s.0).collect();
+        let &[used] = set.as_slice() else {
+            let found = match set.as_slice() {
                 [] => "none of them".to_owned(),
                 several => format!("`{}`", several.join("` and `")),
             };
-            return fail(format!("names {found}, expected one of `topic`, `frames` and `wheels`"));
+            return Err(PoseOptionError::NotOneSource { found });
         };
-        if self.imu.is_some() && *source != "wheels" {
-            return fail(format!(
-                "names `{source}` and `imu`, expected poses or what they are made from (`wheels` and `imu`)"
-            ));
+        if self.imu.is_some() && used != "wheels" {
+            return Err(PoseOptionError::ImuWithoutWheels { used });
         }
-        if self.origin.is_some() && *source != "topic" {
-            return fail(format!(
-                "names `{source}` and `origin`, which is for a `topic` of satellite fixes"
-            ));
+        if self.origin.is_some() && used != "topic" {
+            return Err(PoseOptionError::OriginWithoutTopic { used });
         }
         if self.max_speed_m_s.is_nan() || self.max_speed_m_s <= 0.0 {
-            return fail(format!(
-                "has `max_speed_m_s` {}, expected more than 0",
-                self.max_speed_m_s
-            ));
+            return out_of_range("max_speed_m_s", self.max_speed_m_s, "more than 0");
         }
-        if let Some(origin) = &self.origin
-            && !(origin.latitude_deg.abs() <= 90.0
-                && origin.longitude_deg.abs() <= 360.0
-                && origin.altitude_m.is_finite())
-        {
-            return fail("has an `origin` that is no place on the earth: latitude -90 to 90, longitude -180 to 180 deg".to_owned());
+        if let Some(origin) = &self.origin {
+            origin.check()?;
         }
         if let Some(frames) = &self.frames {
-            return match frames.parent.trim_start_matches('/')
-                == frames.child.trim_start_matches('/')
-            {
-                true => fail(format!("has `frames` from `{}` to itself", frames.parent)),
-                false if frames.topics.is_empty() => {
-                    fail("has `frames` without `topics`".to_owned())
-                }
-                false => Ok(()),
-            };
+            return frames.check();
         }
-        if self.topic.is_some() {
-            return Ok(());
+        match self.topic {
+            Some(_) => Ok(()),
+            None => self.check_wheels(),
         }
+    }
+
+    fn check_wheels(&self) -> Result<(), PoseOptionError> {
         if self.track_m.is_none() {
-            return fail(
-                "names `wheels` without `track_m`, the distance between the wheels in m".to_owned(),
-            );
+            return Err(PoseOptionError::NoTrackWidth);
         }
         if let Some(radius_m) = self.wheel_radius_m
             && !(radius_m.is_finite() && 0.0 < radius_m)
         {
-            return fail(format!("has `wheel_radius_m` {radius_m}, expected more than 0"));
+            return out_of_range("wheel_radius_m", radius_m, "more than 0");
         }
         if let Some((key, found)) = self.start.and_then(|start| start.not_finite()) {
-            return fail(format!("has `start.{key}` {found}, expected a finite number"));
+            return out_of_range(&format!("start.{key}"), found, "a finite number");
         }
-        self.fuse_options().check().map_err(|e| PoseOptionError { detail: format!("has {e}") })
+        self.fuse_options().check().map_err(|error| {
+            let section = if error.key == "track_m" { "ingest.pose" } else { "ingest.pose.fuse" };
+            OutOfRange { key: format!("{section}.{}", error.key), ..error }.into()
+        })
     }
 
-    /// The options of the fusion, with the track.
+    /// The options of the fusion, with the track width.
     pub(crate) fn fuse_options(&self) -> fuse::Options {
         fuse::Options { track_m: self.track_m.unwrap_or_default(), ..self.fuse.clone() }
     }
 }
 
-/// Options that do not go together, or one out of range.
+impl Frames {
+    fn check(&self) -> Result<(), PoseOptionError> {
+        if self.parent.trim_start_matches('/') == self.child.trim_start_matches('/') {
+            return Err(PoseOptionError::SameFrame { frame: self.parent.clone() });
+        }
+        match self.topics.is_empty() {
+            true => Err(PoseOptionError::NoFrameTopics),
+            false => Ok(()),
+        }
+    }
+}
+
+impl Origin {
+    fn check(&self) -> Result<(), PoseOptionError> {
+        if !(self.latitude_deg.abs() <= 90.0) {
+            return out_of_range("origin.latitude_deg", self.latitude_deg, "-90 to 90");
+        }
+        if !(self.longitude_deg.abs() <= 360.0) {
+            return out_of_range("origin.longitude_deg", self.longitude_deg, "-360 to 360");
+        }
+        match self.altitude_m.is_finite() {
+            true => Ok(()),
+            false => out_of_range("origin.altitude_m", self.altitude_m, "a finite number"),
+        }
+    }
+}
+
+fn out_of_range(key: &str, found: f64, expected: &str) -> Result<(), PoseOptionError> {
+    Err(OutOfRange::new(format!("ingest.pose.{key}"), found, expected).into())
+}
+
+/// Options that contradict each other, or one out of range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("`ingest.pose` {detail}")]
-pub struct PoseOptionError {
-    detail: String,
+pub enum PoseOptionError {
+    /// No source of poses is set, or several are.
+    #[error("`ingest.pose` sets {found}, expected one of `topic`, `frames` and `wheels`")]
+    NotOneSource {
+        /// What is set.
+        found: String,
+    },
+    /// `imu` is set without `wheels`.
+    #[error(
+        "`ingest.pose` sets `{used}` and `imu`, but `imu` is only used with `wheels`; remove one of them"
+    )]
+    ImuWithoutWheels {
+        /// The source of poses.
+        used: &'static str,
+    },
+    /// `origin` is set without `topic`.
+    #[error(
+        "`ingest.pose` sets `{used}` and `origin`, but `origin` is only used with a `topic` of satellite fixes; remove one of them"
+    )]
+    OriginWithoutTopic {
+        /// The source of poses.
+        used: &'static str,
+    },
+    /// Parent and child are the same frame.
+    #[error("`ingest.pose.frames` has parent and child `{frame}`, expected two different frames")]
+    SameFrame {
+        /// The frame.
+        frame: String,
+    },
+    /// `frames` has no topics.
+    #[error("`ingest.pose.frames.topics` is empty, expected the topics with transforms")]
+    NoFrameTopics,
+    /// `wheels` is set without `track_m`.
+    #[error(
+        "`ingest.pose` sets `wheels` without `track_m`; set it to the distance between the left and the right wheel [m]"
+    )]
+    NoTrackWidth,
+    /// An option is out of range.
+    #[error(transparent)]
+    OutOfRange(#[from] OutOfRange),
 }
 
 #[cfg(test)]
@@ -224,7 +278,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn poses_come_from_one_place() {
+    fn exactly_one_source_of_poses_must_be_set() {
         let wheels = PoseOptions {
             wheels: Some("/wheels".to_owned()),
             track_m: Some(0.5),
@@ -240,25 +294,34 @@ mod tests {
         let of_frames = PoseOptions { frames: frames("map", "base"), ..PoseOptions::default() };
         assert_eq!(of_frames.check(), Ok(()));
         assert_eq!(wheels.check(), Ok(()));
-        for (options, says) in [
-            (PoseOptions::default(), "names none of them"),
+        for (options, expected) in [
+            (PoseOptions::default(), "sets none of them"),
             (
                 PoseOptions { topic: Some("/pose".to_owned()), ..wheels.clone() },
                 "`topic` and `wheels`",
             ),
             (PoseOptions { frames: frames("a", "b"), ..wheels.clone() }, "`frames` and `wheels`"),
-            (PoseOptions { frames: frames("/a", "a"), ..PoseOptions::default() }, "to itself"),
+            (
+                PoseOptions { frames: frames("/a", "a"), ..PoseOptions::default() },
+                "parent and child `/a`",
+            ),
             (PoseOptions { origin: Some(pole), ..wheels.clone() }, "`wheels` and `origin`"),
             (
                 PoseOptions { origin: Some(beyond), ..PoseOptions::of_topic("/fix") },
-                "no place on the earth",
+                "`ingest.pose.origin.latitude_deg` is 90.5, expected -90 to 90",
             ),
-            (PoseOptions { max_speed_m_s: 0.0, ..wheels.clone() }, "`max_speed_m_s` 0"),
+            (
+                PoseOptions { max_speed_m_s: 0.0, ..wheels.clone() },
+                "`ingest.pose.max_speed_m_s` is 0, expected more than 0",
+            ),
             (PoseOptions { track_m: None, ..wheels.clone() }, "without `track_m`"),
-            (PoseOptions { track_m: Some(-1.0), ..wheels.clone() }, "track_m"),
+            (
+                PoseOptions { track_m: Some(-1.0), ..wheels.clone() },
+                "`ingest.pose.track_m` is -1, expected more than 0",
+            ),
         ] {
             let message = options.check().unwrap_err().to_string();
-            assert!(message.contains(says), "{message}");
+            assert!(message.contains(expected), "{message}");
         }
     }
 }

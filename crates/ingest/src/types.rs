@@ -1,7 +1,6 @@
 //! The message types that a topic of each kind can have.
 
-use dataset::LossKind;
-use messages::{MessageError, MessageType, Source};
+use messages::MessageType;
 
 /// The message types of lidar topics.
 pub const LIDAR_TYPES: [MessageType; 6] = [
@@ -27,9 +26,3 @@ pub const FRAME_TYPES: [MessageType; 2] = [MessageType::Tf, MessageType::Foxglov
 pub const WHEEL_TYPES: [MessageType; 2] = [MessageType::JointState, MessageType::Odometry];
 /// The message types of IMU topics.
 pub const IMU_TYPES: [MessageType; 1] = [MessageType::Imu];
-
-/// The loss of a message that cannot be decoded.
-pub(crate) fn undecodable(source: Source, error: &MessageError) -> LossKind {
-    let message_type = source.message_type.name().to_owned();
-    LossKind::UndecodableMessages { message_type, fault: error.kind() }
-}

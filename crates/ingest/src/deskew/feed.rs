@@ -1,25 +1,25 @@
-//! How the lidar moves, told while the log is being read: what straightens its scans.
+//! The poses of the lidar while the log is being read. They are used for deskewing.
 
 use dataset::{Pose2, StampedPose};
 use fuse::{DeadReckoning, GravityEstimate, WheelSample};
 
-use crate::deskew::motion::Track;
+use crate::deskew::recent_poses::RecentPoses;
 use crate::pose::frames::TransformHistory;
-use crate::pose::readings::Motion;
+use crate::pose::readings::MotionReadings;
 use crate::pose_options::{Frames, PoseOptions};
 
-/// How the lidar moves, told while the log is being read.
-pub(crate) struct Follower {
-    how: How,
-    mount: Pose2,
+/// Computes the poses of the lidar from the readings, as they are read from the log.
+pub(crate) struct PoseFeed {
+    source: FeedSource,
+    base_from_lidar: Pose2,
 }
 
-enum How {
-    /// By poses as they come.
+enum FeedSource {
+    /// Poses from a topic.
     Poses,
-    /// By the transforms between frames, which have been followed to a stamp.
+    /// Transforms, used up to a stamp.
     Frames(Frames, i64),
-    /// By dead reckoning; `position` is the last one of the wheels.
+    /// Wheels, with or without an IMU. `position` is the last wheel position.
     Wheels {
         dead_reckoning: DeadReckoning,
         position: Option<(i64, f64, f64)>,
@@ -27,46 +27,53 @@ enum How {
     },
 }
 
-impl Follower {
-    pub(crate) fn new(options: &PoseOptions, mount: Pose2) -> Self {
-        let how = match (&options.frames, &options.wheels) {
-            (Some(frames), _) => How::Frames(frames.clone(), i64::MIN),
-            (None, Some(_)) => How::Wheels {
+impl PoseFeed {
+    pub(crate) fn new(options: &PoseOptions, base_from_lidar: Pose2) -> Self {
+        let source = match (&options.frames, &options.wheels) {
+            (Some(frames), _) => FeedSource::Frames(frames.clone(), i64::MIN),
+            (None, Some(_)) => FeedSource::Wheels {
                 dead_reckoning: DeadReckoning::new(
                     options.track_m.filter(|_| options.imu.is_none()),
                 ),
                 position: None,
                 gravity: GravityEstimate::default(),
             },
-            (None, None) => How::Poses,
+            (None, None) => FeedSource::Poses,
         };
-        Self { how, mount }
+        Self { source, base_from_lidar }
     }
 
-    /// Goes on with what comes next in the log; `frames` are the transforms so far.
-    pub(crate) fn follow(&mut self, next: &Motion, frames: &TransformHistory, track: &mut Track) {
-        let mount = self.mount;
-        let mut push = |p: &StampedPose| track.push(p.stamp_ns, p.pose * mount);
-        match &mut self.how {
-            How::Poses => next.poses.iter().for_each(push),
-            How::Frames(Frames { parent, child, .. }, followed_ns) => {
-                let poses = frames.motion(parent, child, *followed_ns);
+    /// Adds the poses from the next part of the log to `recent_poses`. `transforms` contains all
+    /// transforms so far.
+    pub(crate) fn advance(
+        &mut self,
+        next: &MotionReadings,
+        transforms: &TransformHistory,
+        recent_poses: &mut RecentPoses,
+    ) {
+        let base_from_lidar = self.base_from_lidar;
+        let mut push = |p: &StampedPose| recent_poses.push(p.stamp_ns, p.pose * base_from_lidar);
+        match &mut self.source {
+            FeedSource::Poses => next.poses.iter().for_each(push),
+            FeedSource::Frames(Frames { parent, child, .. }, used_up_to_ns) => {
+                let poses = transforms.motion(parent, child, *used_up_to_ns);
                 poses.iter().for_each(&mut push);
-                *followed_ns = poses.last().map_or(*followed_ns, |pose| pose.stamp_ns);
+                *used_up_to_ns = poses.last().map_or(*used_up_to_ns, |pose| pose.stamp_ns);
             }
-            How::Wheels { dead_reckoning, position, gravity } => {
-                let positions: Vec<_> = position.iter().chain(&next.positions).copied().collect();
+            FeedSource::Wheels { dead_reckoning, position, gravity } => {
+                let positions: Vec<_> =
+                    position.iter().chain(&next.wheel_positions).copied().collect();
                 *position = positions.last().copied();
                 let speeds = WheelSample::from_positions(&positions);
-                (next.speeds.iter().chain(&speeds))
+                (next.wheel_speeds.iter().chain(&speeds))
                     .for_each(|&wheels| dead_reckoning.add_wheels(wheels));
-                for reading in &next.imu {
-                    if let Some(acceleration) = reading.acceleration {
+                for inertial in next.imu.iter().map(|reading| reading.inertial) {
+                    if let Some(acceleration) = inertial.acceleration {
                         gravity.add(acceleration);
                     }
-                    let rates = reading.angular_velocity.iter().zip(gravity.up());
-                    dead_reckoning
-                        .add_yaw_rate(reading.stamp_ns, rates.map(|(rate, up)| rate * up).sum());
+                    let rates = inertial.angular_velocity.iter().zip(gravity.up());
+                    let yaw_rate_rad_s = rates.map(|(rate, up)| rate * up).sum();
+                    dead_reckoning.add_yaw_rate(inertial.stamp_ns, yaw_rate_rad_s);
                 }
                 dead_reckoning.advance().iter().for_each(push);
             }

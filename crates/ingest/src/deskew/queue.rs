@@ -1,140 +1,154 @@
-//! Turns and scans wait until it is known how the lidar moved during them.
+//! Holds scans until the motion of the lidar during them is known.
 
 use std::collections::VecDeque;
 
-use dataset::{Note, NoteKind, Pose2, Scan};
+use dataset::{NoteKind, Pose2, Scan};
 
-use crate::deskew::feed::Follower;
-use crate::deskew::motion::{Smear, TimedScan, Track};
+use crate::deskew::feed::PoseFeed;
+use crate::deskew::motion::ScanMotion;
+use crate::deskew::recent_poses::RecentPoses;
+use crate::deskew::timed_scan::TimedScan;
 use crate::options::Options;
-use crate::pose::readings::Motion;
+use crate::pose::readings::MotionReadings;
 use crate::velodyne::revolution::{Revolution, ScanBuilder};
 
-/// Scans that wait at most: 100 s of a lidar at 10 Hz. Where the poses come later than that, scans
-/// stay as they are.
+/// Largest number of held scans: 100 s of a lidar at 10 Hz. If the poses come later than that, the
+/// scans are not deskewed.
 const MAX_HELD: usize = 1000;
 
-/// What a scan is made of.
+/// The measurements of one scan.
 #[derive(Debug)]
-pub(crate) enum Raw {
+pub(crate) enum MeasuredScan {
     Revolution(Revolution),
-    Scan(TimedScan),
+    Timed(TimedScan),
 }
 
-/// A scan to be made, and the motion during it where it is to be deskewed.
-pub(crate) type Released = (Raw, Option<Smear>);
+/// A scan that is ready to be built.
+pub(crate) struct ReadyScan {
+    pub(crate) measured: MeasuredScan,
+    /// The motion during the scan; `None` if the scan is not deskewed.
+    pub(crate) motion: Option<ScanMotion>,
+}
 
-/// Holds scans back until their poses have been read.
+/// Holds scans until their poses have been read, and finds the motion during each scan.
 pub(crate) struct Deskewer {
-    /// None where scans are to stay as they are.
-    follower: Option<Follower>,
-    is_wanted: bool,
-    track: Track,
-    held: VecDeque<Raw>,
-    n_straight: u64,
-    /// Scans whose messages do not tell the times of their returns.
-    n_untimed: u64,
-    /// Scans around which the motion is not known.
-    n_unknown: u64,
+    /// `None` if scans are not deskewed.
+    feed: Option<PoseFeed>,
+    is_enabled: bool,
+    recent_poses: RecentPoses,
+    held: VecDeque<MeasuredScan>,
+    n_deskewed: u64,
+    /// Number of scans without the times of their returns.
+    n_without_times: u64,
+    /// Number of scans with an unknown motion.
+    n_without_motion: u64,
 }
 
 impl Deskewer {
     pub(crate) fn new(options: &Options) -> Self {
-        let is_wanted = options.lidar.deskew;
-        let pose = options.pose.as_ref().filter(|_| is_wanted);
-        let mount = options.lidar.mount.map_or(Pose2::default(), |mount| mount.pose());
+        let is_enabled = options.lidar.deskew;
+        let pose = options.pose.as_ref().filter(|_| is_enabled);
+        let base_from_lidar = options.lidar.mount.map_or(Pose2::default(), |mount| mount.pose());
+        let max_speed_m_s = pose.map_or(f64::INFINITY, |pose| pose.max_speed_m_s);
         Self {
-            follower: pose.map(|pose| Follower::new(pose, mount)),
-            is_wanted,
-            track: Track::new(pose.map_or(f64::INFINITY, |pose| pose.max_speed_m_s)),
+            feed: pose.map(|pose| PoseFeed::new(pose, base_from_lidar)),
+            is_enabled,
+            recent_poses: RecentPoses::new(max_speed_m_s),
             held: VecDeque::new(),
-            n_straight: 0,
-            n_untimed: 0,
-            n_unknown: 0,
+            n_deskewed: 0,
+            n_without_times: 0,
+            n_without_motion: 0,
         }
     }
 
-    pub(crate) fn hold(&mut self, raw: Raw) {
-        self.held.push_back(raw);
+    /// Adds a scan.
+    pub(crate) fn push(&mut self, measured: MeasuredScan) {
+        self.held.push_back(measured);
     }
 
-    /// Goes on with what comes next in the log; `all` is what has come so far.
-    pub(crate) fn follow(&mut self, next: &Motion, all: &Motion) {
-        if let Some(follower) = &mut self.follower {
-            follower.follow(next, &all.frames, &mut self.track);
+    /// Adds the readings of the next part of the log. `all` contains the transforms so far.
+    pub(crate) fn add_readings(&mut self, next: &MotionReadings, all: &MotionReadings) {
+        if let Some(feed) = &mut self.feed {
+            feed.advance(next, &all.transforms, &mut self.recent_poses);
         }
     }
 
-    /// The scans whose poses have come, or will not, in order; at the end all of them.
-    pub(crate) fn release(&mut self, is_end: bool, released: &mut Vec<Released>) {
-        let before = released.len();
-        while let Some(raw) = self.held.front() {
-            let range_ns = raw.range_ns();
-            let is_settled = self.follower.is_none()
-                || range_ns.is_none_or(|(_, end_ns)| self.track.has_reached(end_ns))
+    /// Appends the scans to `ready` for which the poses are known or will never be known, in order.
+    /// At the end of the log these are all scans.
+    pub(crate) fn release(&mut self, is_end: bool, ready: &mut Vec<ReadyScan>) {
+        let before = ready.len();
+        while let Some(measured) = self.held.front() {
+            let range_ns = measured.range_ns();
+            let is_ready = self.feed.is_none()
+                || range_ns.is_none_or(|(_, end_ns)| self.recent_poses.has_reached(end_ns))
                 || MAX_HELD < self.held.len();
-            if !is_settled && !is_end {
+            if !is_ready && !is_end {
                 break;
             }
-            let smear = match (&self.follower, range_ns) {
+            let motion = match (&self.feed, range_ns) {
                 (None, _) => None,
                 (Some(_), None) => {
-                    self.n_untimed += 1;
+                    self.n_without_times += 1;
                     None
                 }
                 (Some(_), Some((start_ns, end_ns))) => {
-                    let smear = self.track.smear(raw.stamp_ns(), start_ns, end_ns);
-                    *(if smear.is_some() { &mut self.n_straight } else { &mut self.n_unknown }) +=
-                        1;
-                    smear
+                    let motion = self.recent_poses.motion(measured.stamp_ns(), start_ns, end_ns);
+                    match motion {
+                        Some(_) => self.n_deskewed += 1,
+                        None => self.n_without_motion += 1,
+                    }
+                    motion
                 }
             };
-            released.extend(self.held.pop_front().map(|raw| (raw, smear)));
+            ready.extend(self.held.pop_front().map(|measured| ReadyScan { measured, motion }));
         }
-        if let Some((raw, _)) = released[before..].last() {
-            self.track.forget_before(raw.stamp_ns());
+        if let Some(last) = ready[before..].last() {
+            self.recent_poses.forget_before(last.measured.stamp_ns());
         }
     }
 
-    /// How many scans were deskewed, and why others were not. Empty if there are no poses either.
-    pub(crate) fn notes(&self) -> Vec<Note> {
-        if self.follower.is_none() {
-            let note = NoteKind::DeskewOff.into();
-            return if self.is_wanted { Vec::new() } else { vec![note] };
+    /// Notes about how many scans were deskewed. There are none if the options have no poses.
+    pub(crate) fn notes(&self) -> Vec<NoteKind> {
+        if self.feed.is_none() {
+            return if self.is_enabled { Vec::new() } else { vec![NoteKind::DeskewOff] };
         }
-        let mut notes = vec![NoteKind::Deskewed { n_scans: self.n_straight }.into()];
-        if 0 < self.n_unknown {
-            notes.push(NoteKind::NotDeskewedNoMotion { n_scans: self.n_unknown }.into());
+        let mut notes = vec![NoteKind::Deskewed { n_scans: self.n_deskewed }];
+        if let n_scans @ 1.. = self.n_without_motion {
+            notes.push(NoteKind::NotDeskewedNoMotion { n_scans });
         }
-        if 0 < self.n_untimed {
-            notes.push(NoteKind::NotDeskewedNoTimes { n_scans: self.n_untimed }.into());
+        if let n_scans @ 1.. = self.n_without_times {
+            notes.push(NoteKind::NotDeskewedNoTimes { n_scans });
         }
         notes
     }
 }
 
-impl Raw {
+impl MeasuredScan {
     fn stamp_ns(&self) -> i64 {
         match self {
             Self::Revolution(revolution) => revolution.stamp_ns,
-            Self::Scan(timed) => timed.scan.stamp_ns,
+            Self::Timed(timed) => timed.scan.stamp_ns,
         }
     }
 
-    /// The times of its first and last return, as far as they are known \[ns since the epoch\].
+    /// The times of the first and the last return, if they are known \[ns since the epoch\].
     fn range_ns(&self) -> Option<(i64, i64)> {
         match self {
             Self::Revolution(revolution) => Some((revolution.stamp_ns, revolution.end_ns())),
-            Self::Scan(timed) => timed.range_ns(),
+            Self::Timed(timed) => timed.range_ns(),
         }
     }
+}
 
-    /// The scan, deskewed where the motion is given.
-    pub(crate) fn scan(self, maker: &ScanBuilder, smear: Option<&Smear>) -> Scan {
-        match (self, smear) {
-            (Self::Revolution(revolution), smear) => maker.scan(&revolution, smear),
-            (Self::Scan(timed), Some(smear)) => timed.deskewed(smear),
-            (Self::Scan(timed), None) => timed.scan,
+impl ReadyScan {
+    /// Builds the scan, deskewed if the motion is known.
+    pub(crate) fn build(self, builder: &ScanBuilder) -> Scan {
+        match (self.measured, &self.motion) {
+            (MeasuredScan::Revolution(revolution), motion) => {
+                builder.scan(&revolution, motion.as_ref())
+            }
+            (MeasuredScan::Timed(timed), Some(motion)) => timed.deskewed(motion),
+            (MeasuredScan::Timed(timed), None) => timed.scan,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The files of one drive and their topics.
+//! The files of a drive, their topics, and the reading order.
 
 pub(crate) mod topic;
 pub(crate) mod window;

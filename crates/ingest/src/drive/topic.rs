@@ -1,8 +1,9 @@
-//! A drive's topics: which channels of which file carry them, and how their messages are read.
+//! The topics of a drive: which channels carry them, and how their messages are read.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
 
-use dataset::Dropped;
+use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject};
 use messages::{Encoding, MessageType, Source, is_whole};
 
 use crate::error::IngestError;
@@ -11,21 +12,21 @@ use crate::mcap::framing::Piece;
 use crate::mcap::log::{Channel, Contents, Log};
 use crate::types::{LIDAR_TYPES, POSE_TYPES};
 
-/// The files of one drive, in order of time, and what they hold.
+/// The files of one drive, in order of time, and their structure.
 pub(crate) struct Drive<'a> {
     files: Vec<(&'a Log, Contents)>,
 }
 
-/// A topic that was asked for; several channels can carry it.
+/// A topic of the options. Several channels can carry it.
 #[derive(Debug, Clone)]
 pub(crate) struct Topic {
     pub(crate) name: String,
     /// For each file, how the channels of the topic are read.
     sources: Vec<BTreeMap<u16, Source>>,
-    /// Messages of the topic that cannot be read for the type of their channel.
-    pub(crate) unfit: Dropped,
-    /// What had to be guessed.
-    pub(crate) notes: Vec<String>,
+    /// Messages in channels of another type.
+    pub(crate) losses: Losses,
+    /// What was assumed.
+    pub(crate) notes: Vec<Note>,
 }
 
 impl Topic {
@@ -34,14 +35,14 @@ impl Topic {
         self.sources[file].get(&channel).copied()
     }
 
-    /// Whether a piece may hold messages of it.
+    /// Whether a piece can contain messages of the topic.
     pub(crate) fn may_be_in(&self, piece: &FilePiece<'_>) -> bool {
         piece.piece.may_hold(|id| self.source(piece.file, id).is_some())
     }
 
-    /// Whether some of its messages are read in a way.
-    pub(crate) fn any(&self, is_so: impl Fn(&Source) -> bool) -> bool {
-        self.sources.iter().flat_map(BTreeMap::values).any(is_so)
+    /// Whether the predicate is true for a channel of the topic.
+    pub(crate) fn any(&self, predicate: impl Fn(&Source) -> bool) -> bool {
+        self.sources.iter().flat_map(BTreeMap::values).any(predicate)
     }
 }
 
@@ -51,12 +52,12 @@ pub(crate) struct FilePiece<'a> {
     pub(crate) file: usize,
     pub(crate) log: &'a Log,
     pub(crate) piece: &'a Piece,
-    /// Bytes of the files before.
+    /// Total size of the files before \[bytes\].
     pub(crate) bytes_before: u64,
 }
 
 impl FilePiece<'_> {
-    /// Bytes of the drive up to the piece's end.
+    /// Size of the drive up to the end of the piece \[bytes\].
     pub(crate) fn end(&self) -> u64 {
         self.bytes_before + self.piece.range.end as u64
     }
@@ -65,7 +66,7 @@ impl FilePiece<'_> {
 impl<'a> Drive<'a> {
     pub(crate) fn new(logs: &[&'a Log]) -> Self {
         let mut files: Vec<_> = logs.iter().map(|&log| (log, log.contents())).collect();
-        // A file without messages has no time; it says nothing wherever it stands.
+        // A file without messages has no time. Its place does not matter.
         files.sort_by_key(|(_, contents)| contents.time_range_ns);
         Self { files }
     }
@@ -76,30 +77,31 @@ impl<'a> Drive<'a> {
         Some((ranges().map(|(first, _)| first).min()?, ranges().map(|(_, last)| last).max()?))
     }
 
-    /// Every channel, with the file's place and the channel's number in it.
+    /// All channels, with the number of the file and the channel id.
     pub(crate) fn channels(&self) -> impl Iterator<Item = (usize, u16, &Channel)> {
         self.files.iter().enumerate().flat_map(|(file, (_, contents))| {
             contents.channels.iter().map(move |(&id, channel)| (file, id, channel))
         })
     }
 
-    /// How the messages of a channel are read, lidars before poses where it has no schema.
+    /// How the messages of a channel are read. A channel without schema is tried as a lidar first,
+    /// then as poses.
     pub(crate) fn source(&self, file: usize, id: u16) -> Option<Source> {
         let (log, contents) = &self.files[file];
-        let recognise = |types| recognise(log, contents, id, types);
-        let named = contents.channels.get(&id)?.source();
-        named.or_else(|| recognise(&LIDAR_TYPES)).or_else(|| recognise(&POSE_TYPES))
+        let sniff = |types| sniff(log, contents, id, types);
+        let by_schema = contents.channels.get(&id)?.source();
+        by_schema.or_else(|| sniff(&LIDAR_TYPES)).or_else(|| sniff(&POSE_TYPES))
     }
 
-    /// What of the files' structure is broken.
-    pub(crate) fn dropped(&self) -> Dropped {
-        let mut dropped = Dropped::default();
-        self.files.iter().for_each(|(_, contents)| dropped.merge(contents.dropped.clone()));
-        dropped
+    /// Damage in the structure of the files.
+    pub(crate) fn losses(&self) -> Losses {
+        let mut losses = Losses::default();
+        self.files.iter().for_each(|(_, contents)| losses.merge(contents.losses.clone()));
+        losses
     }
 
-    /// The first of the files, which stands for all in messages.
-    pub(crate) fn path(&self) -> std::path::PathBuf {
+    /// The first file, which is the name of the drive in messages.
+    pub(crate) fn path(&self) -> PathBuf {
         self.files.first().map(|(log, _)| log.path().to_owned()).unwrap_or_default()
     }
 
@@ -110,102 +112,109 @@ impl<'a> Drive<'a> {
         key: &'static str,
         types: &[MessageType],
     ) -> Result<Topic, IngestError> {
-        let mut topic = Topic {
-            name: name.to_owned(),
-            sources: Vec::new(),
-            unfit: Dropped::default(),
-            notes: Vec::new(),
-        };
-        let mut unfit = Vec::new();
+        let subject = || Subject::topic(name);
+        let mut sources = Vec::new();
+        let mut read_without_schema = BTreeSet::new();
+        let mut unsuitable = Vec::new();
         for (log, contents) in &self.files {
-            let mut sources = BTreeMap::new();
+            let mut in_file = BTreeMap::new();
             for (&id, channel) in contents.channels.iter().filter(|(_, c)| c.topic == name) {
-                let source = channel.source().or_else(|| recognise(log, contents, id, types));
+                let source = channel.source().or_else(|| sniff(log, contents, id, types));
                 match source.filter(|source| types.contains(&source.message_type)) {
                     Some(source) => {
                         if channel.schema.is_empty() {
-                            let read_as = source.message_type.name();
-                            topic.notes.push(format!(
-                                "{name} has no schema: its messages were read as {read_as}, as which they decode"
-                            ));
+                            read_without_schema.insert(source.message_type.name());
                         }
-                        sources.insert(id, source);
+                        in_file.insert(id, source);
                     }
-                    None => unfit.push(channel),
+                    None => unsuitable.push(channel),
                 }
             }
-            topic.sources.push(sources);
+            sources.push(in_file);
         }
-        if topic.sources.iter().any(|sources| !sources.is_empty()) {
-            // Another channel of the topic, of a type that does not fit, is left out and counted.
-            for channel in unfit {
-                let reason = format!("messages of {name} in a channel of {}", channel.describe());
-                topic.unfit.add(reason, channel.n_messages.unwrap_or(1));
-            }
-            topic.notes.sort();
-            topic.notes.dedup();
-            return Ok(topic);
+        if sources.iter().all(BTreeMap::is_empty) {
+            return Err(self.no_topic(name, key, types, unsuitable.first().copied()));
         }
-        let (path, remedy) = (self.path(), self.remedy(key, types));
-        Err(match unfit.first() {
-            None => IngestError::NoTopic { path, topic: topic.name, remedy },
+        let mut losses = Losses::default();
+        for channel in unsuitable {
+            let kind = LossKind::MessagesOfOtherType { found: channel.describe() };
+            losses.add(Loss::new(kind, subject()), channel.n_messages.unwrap_or(1));
+        }
+        let notes = read_without_schema.into_iter().map(|read_as| {
+            let read_as = read_as.to_owned();
+            Note::new(NoteKind::NoSchema { read_as }, subject())
+        });
+        Ok(Topic { name: name.to_owned(), sources, losses, notes: notes.collect() })
+    }
+
+    /// The error for a topic that does not exist, or has only a channel of an unsuitable type.
+    fn no_topic(
+        &self,
+        name: &str,
+        key: &str,
+        types: &[MessageType],
+        unsuitable: Option<&Channel>,
+    ) -> IngestError {
+        let (path, topic, remedy) = (self.path(), name.to_owned(), self.remedy(key, types));
+        match unsuitable {
+            None => IngestError::NoTopic { path, topic, remedy },
             Some(channel) => IngestError::WrongType {
                 path,
-                topic: topic.name,
+                topic,
                 found: channel.describe(),
                 expected: expected(types),
                 remedy,
             },
-        })
+        }
     }
 
-    /// To which topics an option can be set, or else which topics there are.
+    /// Lists the topics that an option can be set to, or else all topics.
     fn remedy(&self, key: &str, types: &[MessageType]) -> String {
         let channels = || self.channels().map(|(_, _, channel)| channel);
-        let list = |fits: &dyn Fn(&Channel) -> bool| {
-            let fitting: BTreeSet<String> = channels()
-                .filter(|channel| fits(channel))
+        let list = |is_listed: &dyn Fn(&Channel) -> bool| {
+            let listed: BTreeSet<String> = channels()
+                .filter(|channel| is_listed(channel))
                 .map(|channel| format!("`{}` ({})", channel.topic, channel.describe()))
                 .collect();
-            fitting.into_iter().collect::<Vec<_>>().join(", ")
+            listed.into_iter().collect::<Vec<_>>().join(", ")
         };
-        let fits = |channel: &Channel| {
+        let is_suitable = |channel: &Channel| {
             channel.source().is_some_and(|source| types.contains(&source.message_type))
         };
-        match list(&fits) {
+        match list(&is_suitable) {
             none if none.is_empty() => match list(&|_| true) {
-                none if none.is_empty() => match self.dropped() {
-                    whole if whole.is_empty() => "it has no topic at all".to_owned(),
-                    broken => format!("it has no topic that can be read ({broken})"),
+                none if none.is_empty() => match self.losses() {
+                    intact if intact.is_empty() => "the log has no topics".to_owned(),
+                    losses => format!("the log has no readable topics ({losses})"),
                 },
-                all => format!("none would do; the log has {all}"),
+                all => format!("no topic of the log has a suitable type; its topics are {all}"),
             },
             some => format!("set `{key}` to one of: {some}"),
         }
     }
 
-    /// Messages of the topics, where the files say how many.
+    /// Number of messages of the topics, if the files contain it.
     pub(crate) fn n_messages(&self, topics: &[&Topic]) -> Option<u64> {
         let is_wanted = |file, id| topics.iter().any(|topic| topic.source(file, id).is_some());
         let wanted = self.channels().filter(|&(file, id, _)| is_wanted(file, id));
-        // What the files claim may be more than can be counted.
+        // The numbers in a damaged file can be so large that their sum overflows.
         wanted
             .map(|(_, _, channel)| channel.n_messages)
             .try_fold(0u64, |sum, n| Some(sum.saturating_add(n?)))
     }
 
-    /// The pieces that hold, or may hold, messages of the topics, in order.
+    /// The pieces that can contain messages of the topics, in order.
     pub(crate) fn pieces_with(&self, topics: &[&Topic]) -> Vec<FilePiece<'_>> {
         self.pieces(|file, id| topics.iter().any(|topic| topic.source(file, id).is_some()))
     }
 
-    /// The pieces that hold, or may hold, messages of channels that are wanted, in order.
-    pub(crate) fn pieces(&self, wanted: impl Fn(usize, u16) -> bool) -> Vec<FilePiece<'_>> {
+    /// The pieces that can contain messages of wanted channels, in order.
+    pub(crate) fn pieces(&self, is_wanted: impl Fn(usize, u16) -> bool) -> Vec<FilePiece<'_>> {
         let mut pieces = Vec::new();
         let mut bytes_before = 0;
         for (file, (log, contents)) in self.files.iter().enumerate() {
             let may_hold =
-                contents.pieces.iter().filter(|piece| piece.may_hold(|id| wanted(file, id)));
+                contents.pieces.iter().filter(|piece| piece.may_hold(|id| is_wanted(file, id)));
             pieces.extend(may_hold.map(|piece| FilePiece { file, log, piece, bytes_before }));
             bytes_before += log.bytes().len() as u64;
         }
@@ -213,7 +222,7 @@ impl<'a> Drive<'a> {
     }
 }
 
-/// "`A`, `B` or `C`".
+/// Formats types as "`A`, `B` or `C`".
 fn expected(types: &[MessageType]) -> String {
     let names: Vec<String> = types.iter().map(|t| format!("`{}`", t.name())).collect();
     match names.split_last() {
@@ -223,14 +232,14 @@ fn expected(types: &[MessageType]) -> String {
     }
 }
 
-/// How the messages of a channel without schema are read: as the only one of the types that its
-/// first message decodes as, wholly and with values that make sense.
-fn recognise(log: &Log, contents: &Contents, id: u16, types: &[MessageType]) -> Option<Source> {
+/// Finds the type of a channel without schema from the content of its first message: the only one of
+/// the types that decodes the whole message to plausible values.
+fn sniff(log: &Log, contents: &Contents, id: u16, types: &[MessageType]) -> Option<Source> {
     let channel = contents.channels.get(&id).filter(|channel| channel.schema.is_empty())?;
     let mut buffer = Buffer::default();
     let mut first: Option<Vec<u8>> = None;
     for piece in contents.pieces.iter().filter(|piece| piece.may_hold(|other| other == id)) {
-        // What is broken is counted when the messages are read.
+        // Losses are counted later, when the messages are read.
         chunk::messages(log.bytes(), piece, &mut buffer, |header, data| {
             if header.channel_id == id && first.is_none() {
                 first = Some(data.to_owned());
@@ -242,10 +251,10 @@ fn recognise(log: &Log, contents: &Contents, id: u16, types: &[MessageType]) -> 
     }
     let first = first?;
     let encoding = Encoding::from_name(&channel.message_encoding)?;
-    let mut fitting = types
+    let mut suitable = types
         .iter()
         .map(|&message_type| Source { message_type, encoding })
         .filter(|source| source.message_type.encodings().contains(&encoding))
         .filter(|&source| is_whole(source, &first));
-    fitting.next().filter(|_| fitting.next().is_none())
+    suitable.next().filter(|_| suitable.next().is_none())
 }

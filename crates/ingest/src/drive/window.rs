@@ -1,11 +1,11 @@
-//! The pieces of a drive in the order in which they are read, some at once.
+//! The pieces of a drive in reading order, grouped into windows that are decoded in parallel.
 
 use crate::drive::topic::{Drive, FilePiece, Topic};
 
-/// Pieces decoded between two joins, for each thread.
+/// Pieces per window, for each thread.
 pub(crate) const PIECES_PER_THREAD: usize = 8;
 
-/// What is read of a piece.
+/// The messages of a piece to read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Part {
     Lidar,
@@ -13,34 +13,34 @@ pub(crate) enum Part {
     Both,
 }
 
-/// The pieces to read, some at once, in order.
+/// The pieces with messages of the topics, in windows that are decoded in parallel.
 ///
-/// Scans wait for the poses around them, which most often lie beside them in the file. In a log that
-/// was written topic by topic they do not: there what tells of the motion is read before the lidar.
+/// Scans wait for the poses around them. Usually these are nearby in the file. In a log that was
+/// written topic by topic they are not, so the motion is read first there.
 pub(crate) fn windows<'a>(
     drive: &'a Drive<'_>,
     lidar: &Topic,
-    of_pose: &[&Topic],
+    pose_topics: &[&Topic],
 ) -> Vec<(Part, Vec<FilePiece<'a>>)> {
-    let n_at_once = PIECES_PER_THREAD * rayon::current_num_threads();
+    let n_per_window = PIECES_PER_THREAD * rayon::current_num_threads();
     let in_windows = |part, pieces: &[FilePiece<'a>]| -> Vec<_> {
-        pieces.chunks(n_at_once).map(|window| (part, window.to_vec())).collect()
+        pieces.chunks(n_per_window).map(|window| (part, window.to_vec())).collect()
     };
-    let of_motion = drive.pieces_with(of_pose);
-    let n_shared = of_motion.iter().filter(|piece| lidar.may_be_in(piece)).count();
-    if of_motion.len() < 2 * n_shared + 1 {
-        let topics: Vec<&Topic> = [lidar].into_iter().chain(of_pose.iter().copied()).collect();
+    let with_motion = drive.pieces_with(pose_topics);
+    let n_shared = with_motion.iter().filter(|piece| lidar.may_be_in(piece)).count();
+    if with_motion.len() < 2 * n_shared + 1 {
+        let topics: Vec<&Topic> = [lidar].into_iter().chain(pose_topics.iter().copied()).collect();
         return in_windows(Part::Both, &drive.pieces_with(&topics));
     }
-    let mut windows = in_windows(Part::Motion, &of_motion);
+    let mut windows = in_windows(Part::Motion, &with_motion);
     windows.extend(in_windows(Part::Lidar, &drive.pieces_with(&[lidar])));
     windows
 }
 
-/// Tells that pieces have been read: their pages need not stay in memory.
+/// Releases the memory pages of pieces that have been read, and reports the progress.
 pub(crate) fn forget(pieces: &[FilePiece<'_>], progress: &impl Fn(u64)) {
-    for of_file in pieces.chunk_by(|a, b| a.file == b.file) {
-        if let Some(last) = of_file.last() {
+    for in_file in pieces.chunk_by(|a, b| a.file == b.file) {
+        if let Some(last) = in_file.last() {
             last.log.forget_up_to(last.piece.range.end);
             progress(last.end());
         }

@@ -1,38 +1,39 @@
-//! One piece of a log -> its messages.
+//! Reads the messages of one piece of a log.
 
 use std::borrow::Cow;
 use std::io::Read;
 
-use dataset::Dropped;
+use dataset::{LossKind, Losses};
 use mcap::records::{MessageHeader, Record, op};
 use zstd::zstd_safe::{DCtx, zstd_sys::ZSTD_ErrorCode};
 
-use crate::mcap::framing::{FIRST_FREE_OPCODE, Piece, PieceKind, RECORD_HEADER};
+use crate::mcap::framing::{FIRST_PRIVATE_OPCODE, Piece, PieceKind, RECORD_HEADER};
 use crate::mcap::record;
 
-/// A chunk that claims to be larger than this when decompressed is not believed. Writers make
-/// chunks of about 1 to 4 MB.
+/// Maximum decompressed size of a chunk \[bytes\]. Writers make chunks of about 1 to 4 MB, so a larger
+/// size in the header is an error.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
 
-/// What a chunk claims is believed up to this size, or up to so many times its compressed size;
-/// beyond, memory is taken as bytes come out. Chunks of packets shrink up to 30 times.
-const BELIEVED_BYTES: usize = 8 << 20;
-const BELIEVED_RATIO: usize = 64;
+/// Memory for a chunk is allocated at once up to this size, or up to this multiple of its compressed
+/// size. Beyond that, it is allocated as decompressed bytes arrive. Chunks of packets compress by up
+/// to a factor of 30.
+const TRUSTED_BYTES: usize = 8 << 20;
+const TRUSTED_RATIO: usize = 64;
 
-/// What one thread needs to decompress chunks, used again for each.
+/// Memory that a thread reuses for all chunks that it decompresses.
 #[derive(Default)]
 pub(crate) struct Buffer {
     bytes: Vec<u8>,
     zstd: Option<DCtx<'static>>,
 }
 
-/// Calls `visit` with header and data of each message of a piece; returns what could not be read.
+/// Calls `visit` with the header and data of each message of a piece. Returns what could not be read.
 pub(crate) fn messages(
     log: &[u8],
     piece: &Piece,
     buffer: &mut Buffer,
     mut visit: impl FnMut(&MessageHeader, &[u8]),
-) -> Dropped {
+) -> Losses {
     records(log, piece, buffer, |record| {
         if let Record::Message { header, data } = record {
             visit(&header, &data);
@@ -40,52 +41,50 @@ pub(crate) fn messages(
     })
 }
 
-/// Calls `visit` with each record of a piece; returns what could not be read.
+/// Calls `visit` with each record of a piece. Returns what could not be read.
 pub(crate) fn records(
     log: &[u8],
     piece: &Piece,
     buffer: &mut Buffer,
     mut visit: impl FnMut(Record<'_>),
-) -> Dropped {
-    let mut dropped = Dropped::default();
+) -> Losses {
+    let mut losses = Losses::default();
     let body = &log[piece.range.clone()];
     match piece.kind {
-        PieceKind::Records => visit_records(body, false, &mut visit, &mut dropped),
-        PieceKind::Chunk => whole_chunk_records(body, buffer, &mut visit, &mut dropped),
-        PieceKind::CutChunk => match cut_chunk(body) {
-            // Only its length says that it goes on.
-            Some(chunk) if chunk.is_whole => {
-                whole_chunk_records(&body[RECORD_HEADER..], buffer, &mut visit, &mut dropped);
+        PieceKind::Records => visit_records(body, false, &mut visit, &mut losses),
+        PieceKind::Chunk => visit_chunk(body, buffer, &mut visit, &mut losses),
+        PieceKind::TruncatedChunk => match truncated_chunk(body) {
+            // Only the record length says that more bytes follow. The data of the chunk is complete.
+            Some(chunk) if chunk.is_complete => {
+                visit_chunk(&body[RECORD_HEADER..], buffer, &mut visit, &mut losses);
             }
-            Some(chunk) => cut_chunk_records(&chunk, &mut visit, &mut dropped),
+            Some(chunk) => visit_truncated_chunk(&chunk, &mut visit, &mut losses),
             None => {}
         },
     }
-    dropped
+    losses
 }
 
-fn whole_chunk_records(
+fn visit_chunk(
     body: &[u8],
     buffer: &mut Buffer,
     visit: &mut impl FnMut(Record<'_>),
-    dropped: &mut Dropped,
+    losses: &mut Losses,
 ) {
     match decompress(body, buffer) {
-        Ok(records) => visit_records(records, true, visit, dropped),
-        Err(reason) => dropped.add(format!("chunks {reason}"), 1),
+        Ok(records) => visit_records(records, true, visit, losses),
+        Err(kind) => losses.add(kind, 1),
     }
 }
 
-/// The records of a chunk, decompressed and checked against the chunk's CRC.
-///
-/// The error says what is wrong with the chunk ("that ...").
-fn decompress<'a>(body: &'a [u8], buffer: &'a mut Buffer) -> Result<&'a [u8], String> {
+/// Decompresses the records of a chunk and checks them against the CRC of the chunk.
+fn decompress<'a>(body: &'a [u8], buffer: &'a mut Buffer) -> Result<&'a [u8], LossKind> {
     let Some(Record::Chunk { header, data: Cow::Borrowed(data) }) = record::parse(op::CHUNK, body)
     else {
-        return Err("with a malformed header".to_owned());
+        return Err(LossKind::MalformedChunks);
     };
     if MAX_CHUNK_BYTES < header.uncompressed_size {
-        return Err(format!("that claim more than {MAX_CHUNK_BYTES} bytes"));
+        return Err(LossKind::OversizedChunks { max_bytes: MAX_CHUNK_BYTES });
     }
     let size = header.uncompressed_size as usize;
     let records: &[u8] = match header.compression.as_str() {
@@ -98,142 +97,142 @@ fn decompress<'a>(body: &'a [u8], buffer: &'a mut Buffer) -> Result<&'a [u8], St
             buffer.lz4(size, data)?;
             &buffer.bytes
         }
-        other => return Err(format!("of unknown compression `{other}`")),
+        other => {
+            let compression = other.to_owned();
+            return Err(LossKind::ChunksOfUnknownCompression { compression });
+        }
     };
     if records.len() != size {
-        return Err("whose length is not what their header says".to_owned());
+        return Err(LossKind::ChunkLengthMismatch);
     }
     check_crc(header.uncompressed_crc, records)?;
     Ok(records)
 }
 
-/// A CRC of 0 means that the writer made none (MCAP specification, "Chunk").
-fn check_crc(crc: u32, records: &[u8]) -> Result<(), String> {
+/// Checks a CRC. 0 means that the writer did not compute one (MCAP specification, "Chunk").
+fn check_crc(crc: u32, records: &[u8]) -> Result<(), LossKind> {
     match crc {
         0 => Ok(()),
         expected if expected == crc32fast::hash(records) => Ok(()),
-        _ => Err("whose CRC does not match: their bytes were altered".to_owned()),
+        _ => Err(LossKind::ChunkCrcMismatch),
     }
 }
 
-const DAMAGED: &str = "that do not decompress";
-
 impl Buffer {
-    fn zstd(&mut self, size: usize, data: &[u8]) -> Result<(), String> {
+    fn zstd(&mut self, size: usize, data: &[u8]) -> Result<(), LossKind> {
         let decompressor = match &mut self.zstd {
             Some(decompressor) => decompressor,
-            none => none.insert(DCtx::try_create().ok_or_else(|| DAMAGED.to_owned())?),
+            none => none.insert(DCtx::try_create().ok_or(LossKind::UndecompressableChunks)?),
         };
-        let mut believed = believed(size, data);
+        let mut allocated = initial_size(size, data);
         loop {
-            reserve(&mut self.bytes, believed)?;
+            reserve(&mut self.bytes, allocated)?;
             match decompressor.decompress(&mut self.bytes, data) {
                 Ok(_) => return Ok(()),
-                // So much did come out, and there is more.
-                Err(code) if code == BUFFER_TOO_SMALL && believed < size => {
-                    believed = believed.saturating_mul(4).min(size);
+                // All allocated bytes were filled, and more follow.
+                Err(code) if code == BUFFER_TOO_SMALL && allocated < size => {
+                    allocated = allocated.saturating_mul(4).min(size);
                 }
-                Err(_) => return Err(DAMAGED.to_owned()),
+                Err(_) => return Err(LossKind::UndecompressableChunks),
             }
         }
     }
 
-    fn lz4(&mut self, size: usize, data: &[u8]) -> Result<(), String> {
-        reserve(&mut self.bytes, believed(size, data))?;
-        let decoder = lz4::Decoder::new(data).map_err(|_| DAMAGED.to_owned())?;
-        // One byte more than claimed is enough to see that the claim is wrong.
+    fn lz4(&mut self, size: usize, data: &[u8]) -> Result<(), LossKind> {
+        reserve(&mut self.bytes, initial_size(size, data))?;
+        let decoder = lz4::Decoder::new(data).map_err(|_| LossKind::UndecompressableChunks)?;
+        // Reading one byte more than the header claims is enough to detect a wrong claim.
         decoder
             .take(size as u64 + 1)
             .read_to_end(&mut self.bytes)
             .map(|_| ())
-            .map_err(|_| DAMAGED.to_owned())
+            .map_err(|_| LossKind::UndecompressableChunks)
     }
 }
 
-/// zstd's codes of errors are their numbers, negated.
+/// The zstd error code for a buffer that is too small. Error codes are negated numbers.
 const BUFFER_TOO_SMALL: usize =
     (ZSTD_ErrorCode::ZSTD_error_dstSize_tooSmall as usize).wrapping_neg();
 
-/// What to make room for at first.
-fn believed(size: usize, data: &[u8]) -> usize {
-    size.min(BELIEVED_BYTES.max(data.len().saturating_mul(BELIEVED_RATIO)))
+/// The size to allocate first.
+fn initial_size(size: usize, data: &[u8]) -> usize {
+    size.min(TRUSTED_BYTES.max(data.len().saturating_mul(TRUSTED_RATIO)))
 }
 
-fn reserve(bytes: &mut Vec<u8>, size: usize) -> Result<(), String> {
+fn reserve(bytes: &mut Vec<u8>, size: usize) -> Result<(), LossKind> {
     bytes.clear();
-    bytes
-        .try_reserve(size)
-        .map_err(|_| format!("that claim {size} bytes, more than this machine has"))
+    bytes.try_reserve(size).map_err(|_| LossKind::ChunksBeyondMemory)
 }
 
-/// Walks the records of a decompressed chunk, borrowing from it.
+/// Visits records one after another, borrowing from `records`.
 fn visit_records(
     mut records: &[u8],
     in_chunk: bool,
     visit: &mut impl FnMut(Record<'_>),
-    dropped: &mut Dropped,
+    losses: &mut Losses,
 ) {
     while let Some((&opcode, rest)) = records.split_first() {
         let record = rest.split_first_chunk::<8>().and_then(|(length, rest)| {
             rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)
         });
         let Some((body, rest)) = record else {
-            dropped.add("chunks that end in the middle of a record", 1);
+            losses.add(LossKind::TruncatedChunks, 1);
             return;
         };
         records = rest;
         match opcode {
-            // Outside chunks channels and schemas are read with the log's structure.
+            // Channels and schemas outside chunks are read with the structure of the log.
             op::SCHEMA | op::CHANNEL if !in_chunk => {}
             op::SCHEMA | op::CHANNEL | op::MESSAGE => match record::parse(opcode, body) {
                 Some(record) => visit(record),
-                None => dropped.add("records that are malformed", 1),
+                None => losses.add(LossKind::MalformedRecords, 1),
             },
-            // Nothing else stands in a chunk, unless someone uses the opcodes that are free.
-            _ if in_chunk && opcode < FIRST_FREE_OPCODE => {
-                dropped.add("records of a kind that does not stand in chunks", 1);
+            // A chunk must not contain any other record, except private ones.
+            _ if in_chunk && opcode < FIRST_PRIVATE_OPCODE => {
+                losses.add(LossKind::MisplacedRecords, 1);
             }
             _ => {}
         }
     }
 }
 
-/// A chunk that the end of the file cuts, as far as it is there.
-struct CutChunk<'a> {
-    /// When decompressed.
+/// The existing part of a chunk that the end of the file cuts off.
+struct TruncatedChunk<'a> {
+    /// Decompressed size in the header \[bytes\].
     size: u64,
     crc: u32,
     compression: &'a [u8],
     data: &'a [u8],
-    /// Whether all its data is there.
-    is_whole: bool,
+    /// Whether the data is complete.
+    is_complete: bool,
 }
 
-/// Takes a chunk record apart, from its opcode on (MCAP specification, "Chunk").
-fn cut_chunk(bytes: &[u8]) -> Option<CutChunk<'_>> {
+/// Parses a chunk record, from its opcode on (MCAP specification, "Chunk").
+fn truncated_chunk(bytes: &[u8]) -> Option<TruncatedChunk<'_>> {
     let (_header_and_times, rest) = bytes.split_at_checked(RECORD_HEADER + 8 + 8)?;
     let (size, rest) = rest.split_first_chunk::<8>()?;
     let (crc, rest) = rest.split_first_chunk::<4>()?;
     let (length, rest) = rest.split_first_chunk::<4>()?;
     let (compression, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
     let (compressed_size, data) = rest.split_first_chunk::<8>()?;
-    let is_whole = u64::from_le_bytes(*compressed_size) <= data.len() as u64;
+    let is_complete = u64::from_le_bytes(*compressed_size) <= data.len() as u64;
     let (size, crc) = (u64::from_le_bytes(*size), u32::from_le_bytes(*crc));
-    Some(CutChunk { size, crc, compression, data, is_whole })
+    Some(TruncatedChunk { size, crc, compression, data, is_complete })
 }
 
-/// The complete records of a chunk that is cut. Its checksum is of the whole: where the end of it is
-/// missing, nothing vouches for them.
+/// Visits the complete records of a truncated chunk. The CRC covers the whole chunk, so it can be
+/// checked only if all records are there.
 ///
-/// What follows the last complete record is lost, which the log's missing footer already tells.
-fn cut_chunk_records(
-    chunk: &CutChunk<'_>,
+/// The rest after the last complete record is lost. It is not counted here, because the missing
+/// footer is already counted.
+fn visit_truncated_chunk(
+    chunk: &TruncatedChunk<'_>,
     visit: &mut impl FnMut(Record<'_>),
-    dropped: &mut Dropped,
+    losses: &mut Losses,
 ) {
     let mut decompressed = Vec::new();
     let size = chunk.size.min(MAX_CHUNK_BYTES);
-    // Both read up to what is missing and keep what they have read.
+    // At the missing part, both decoders stop and keep what they have decompressed.
     let records = match chunk.compression {
         b"" => chunk.data,
         b"zstd" => {
@@ -251,10 +250,10 @@ fn cut_chunk_records(
         _ => return,
     };
     if let Some(all) = usize::try_from(chunk.size).ok().and_then(|size| records.get(..size))
-        && let Err(reason) = check_crc(chunk.crc, all)
+        && let Err(kind) = check_crc(chunk.crc, all)
     {
-        dropped.add(format!("chunks {reason}"), 1);
+        losses.add(kind, 1);
         return;
     }
-    visit_records(records, true, visit, &mut Dropped::default());
+    visit_records(records, true, visit, &mut Losses::default());
 }

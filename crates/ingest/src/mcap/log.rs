@@ -1,15 +1,15 @@
-//! The structure of an MCAP log: channels, and the pieces that hold messages.
+//! The structure of an MCAP log: its channels, and the pieces that contain messages.
 //!
-//! An intact log is read through its summary. A log without one (cut, or its writer died) is
-//! walked record by record from its start; so are the stretches of an intact log that no chunk
-//! index covers, since messages may stand outside chunks. Nothing in the file is skipped unseen.
+//! The structure of an intact log is read from its summary. A log without a summary (truncated, or
+//! the recorder crashed) is scanned record by record. Ranges of an intact log that no chunk index
+//! covers are scanned too, because messages can lie outside chunks. No part of the file is skipped.
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use dataset::Dropped;
+use dataset::{LossKind, Losses};
 use mcap::records::{Record, op};
 use memmap2::{Advice, Mmap, UncheckedAdvice};
 use messages::Source;
@@ -17,12 +17,12 @@ use messages::Source;
 use crate::error::IngestError;
 use crate::mcap::chunk::{self, Buffer};
 use crate::mcap::framing::{
-    END_OF_OPCODES, FIRST_FREE_OPCODE, Piece, PieceKind, RECORD_HEADER, RawRecord, record_at,
+    END_OF_OPCODES, FIRST_PRIVATE_OPCODE, Piece, PieceKind, RECORD_HEADER, RawRecord, record_at,
     records,
 };
 use crate::mcap::record;
 
-/// A log: a memory-mapped file, or bytes that came another way.
+/// A log: a memory-mapped file, or bytes in memory.
 #[derive(Debug)]
 pub struct Log {
     path: PathBuf,
@@ -40,57 +40,60 @@ enum Bytes {
 pub struct Channel {
     /// The topic.
     pub topic: String,
-    /// How its messages are encoded: `cdr`, `ros1`, ...
+    /// The encoding of its messages, such as `cdr` or `ros1`.
     pub message_encoding: String,
-    /// The schema's name; empty where the channel has none.
+    /// The name of the schema, empty if the channel has none.
     pub schema: String,
-    /// Number of messages, where the log says so.
+    /// Number of messages, if the log contains it.
     pub n_messages: Option<u64>,
 }
 
-/// What a log holds.
+/// The structure of a log.
 #[derive(Debug, Clone, Default)]
 pub struct Contents {
-    /// Channels by their number.
+    /// Channels by their id.
     pub channels: BTreeMap<u16, Channel>,
     /// Time of the first and the last message \[ns\].
     pub time_range_ns: Option<(u64, u64)>,
-    /// What of the log's structure is broken.
-    pub dropped: Dropped,
+    /// Damage in the structure of the log.
+    pub losses: Losses,
     pub(crate) pieces: Vec<Piece>,
 }
 
-/// Messages outside chunks are read in stretches of about this size.
-const LOOSE_BYTES: usize = 1 << 20;
+/// Messages outside chunks are read in pieces of about this size \[bytes\].
+const LOOSE_PIECE_BYTES: usize = 1 << 20;
 
-/// What a cut file lacks, as a reason.
-const CUT: &str =
-    "ends of the log cut off (no footer: the recorder stopped early or the copy is incomplete)";
+/// Why the index of a log cannot be used.
+enum UnusableIndex {
+    /// There is no index, or it does not list all channels.
+    Missing,
+    /// The index is damaged.
+    Damaged(LossKind),
+}
 
-const DAMAGED_SUMMARY: &str = "summaries that are damaged (the log was read without its index)";
-const WRONG_INDEX: &str =
-    "indexes of chunks that the data contradicts (the log was read without its index)";
+const DAMAGED_SUMMARY: UnusableIndex = UnusableIndex::Damaged(LossKind::DamagedSummary);
+const CONTRADICTORY_INDEX: UnusableIndex = UnusableIndex::Damaged(LossKind::ContradictoryIndex);
 
 impl Log {
-    /// Maps a file and checks that it starts as MCAP does.
+    /// Maps a file into memory and checks that it starts with the MCAP magic bytes.
     pub fn open(path: &Path) -> Result<Self, IngestError> {
         let failed = |source| IngestError::Open { path: path.to_owned(), source };
         let file = File::open(path).map_err(failed)?;
-        // SAFETY: the map is read-only. Should another process cut the file while it is mapped,
-        // the system ends this one; a log that is still being written is not for batch work.
+        // SAFETY: the map is read-only. If another process truncates the file while it is mapped, the
+        // operating system kills this process. Logs that are still being written are not supported.
         let bytes = unsafe { Mmap::map(&file) }.map_err(failed)?;
-        // Advice is a hint; without it the log is read all the same.
+        // The advice is only a hint, so an error does not matter.
         let _ = bytes.advise(Advice::Sequential);
         Self::new(path, Bytes::Mapped(bytes))
     }
 
-    /// A log that is in memory already, as one that was downloaded; `path` stands for it in
+    /// A log that is already in memory, for example one that was downloaded. `path` is its name in
     /// messages.
     pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, IngestError> {
         Self::new(path, Bytes::Owned(bytes))
     }
 
-    /// Checks that the bytes start as MCAP does.
+    /// Checks that the bytes start with the MCAP magic bytes.
     fn new(path: &Path, bytes: Bytes) -> Result<Self, IngestError> {
         let log = Self { path: path.to_owned(), bytes };
         let bytes = log.bytes();
@@ -105,12 +108,12 @@ impl Log {
         Ok(log)
     }
 
-    /// The file, or what stands for it.
+    /// The path of the file, or the name given to [`Self::from_bytes`].
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// The log's bytes.
+    /// The bytes of the log.
     pub fn bytes(&self) -> &[u8] {
         match &self.bytes {
             Bytes::Mapped(bytes) => bytes,
@@ -118,35 +121,38 @@ impl Log {
         }
     }
 
-    /// Tells the system that the bytes before `end` are not needed in memory any more.
+    /// Tells the operating system that the bytes before `end` need not stay in memory.
     pub(crate) fn forget_up_to(&self, end: usize) {
         let Bytes::Mapped(bytes) = &self.bytes else { return };
         const PAGE: usize = 4096;
         let whole_pages = end / PAGE * PAGE;
-        // SAFETY: the map is read-only and shared; a page dropped here is read again if touched.
+        // SAFETY: the map is read-only and shared. A page dropped here is read again on access.
         let _ = unsafe { bytes.unchecked_advise_range(UncheckedAdvice::DontNeed, 0, whole_pages) };
     }
 
-    /// Reads the log's structure; its messages stay unread.
+    /// Reads the structure of the log, but not its messages.
     pub fn contents(&self) -> Contents {
-        self.indexed_contents().unwrap_or_else(|reason| {
-            let mut contents = self.walked_contents();
-            contents.dropped.add(reason.unwrap_or_default(), u64::from(reason.is_some()));
+        self.indexed_contents().unwrap_or_else(|unusable| {
+            let mut contents = self.scanned_contents();
+            if let UnusableIndex::Damaged(kind) = unusable {
+                contents.losses.add(kind, 1);
+            }
             contents
         })
     }
 
-    /// From the summary; the error says what is wrong with it, nothing where it is absent or holds
-    /// too little.
-    fn indexed_contents(&self) -> Result<Contents, Option<&'static str>> {
+    /// Reads the structure from the summary.
+    fn indexed_contents(&self) -> Result<Contents, UnusableIndex> {
         let bytes = self.bytes();
         if !bytes.ends_with(mcap::MAGIC) {
-            return Err(None); // and is counted as cut
+            return Err(UnusableIndex::Missing); // counted as a truncated file
         }
         if !summary_is_intact(bytes) {
-            return Err(Some(DAMAGED_SUMMARY));
+            return Err(DAMAGED_SUMMARY);
         }
-        let summary = mcap::Summary::read(bytes).map_err(|_| Some(DAMAGED_SUMMARY))?.ok_or(None)?;
+        let summary = mcap::Summary::read(bytes)
+            .map_err(|_| DAMAGED_SUMMARY)?
+            .ok_or(UnusableIndex::Missing)?;
         let counts = summary.stats.as_ref().map(|stats| &stats.channel_message_counts);
         let channels: BTreeMap<u16, Channel> = summary
             .channels
@@ -163,10 +169,10 @@ impl Log {
             })
             .collect();
 
-        // A writer may leave the channels out of the summary; then the data has to be looked into.
+        // A writer can leave the channels out of the summary. Then they are found by scanning.
         let n_channels = summary.stats.as_ref().map_or(0, |stats| stats.channel_count as usize);
         if channels.is_empty() || channels.len() < n_channels {
-            return Err(None);
+            return Err(UnusableIndex::Missing);
         }
         let mut indexes: Vec<_> = summary.chunk_indexes.iter().collect();
         indexes.sort_by_key(|index| index.chunk_start_offset);
@@ -175,36 +181,36 @@ impl Log {
         let mut at = mcap::MAGIC.len();
         let mut seen = Seen::new(self);
         for index in indexes {
-            let record = indexed_chunk(bytes, index).ok_or(Some(WRONG_INDEX))?;
+            let record = indexed_chunk(bytes, index).ok_or(CONTRADICTORY_INDEX)?;
             let (start, end) = (record.body.start - RECORD_HEADER, record.body.end);
             if start < at {
-                return Err(Some(WRONG_INDEX));
+                return Err(CONTRADICTORY_INDEX);
             }
             let known =
                 index.message_index_offsets.keys().all(|id| contents.channels.contains_key(id));
             if !known {
-                return Err(None);
+                return Err(UnusableIndex::Missing);
             }
-            self.walk(at..start, &mut contents);
+            self.scan(at..start, &mut contents);
             contents.pieces.push(Piece {
                 kind: PieceKind::Chunk,
                 range: record.body,
-                // A writer may leave out message indexes; then the chunk has to be looked into.
+                // A writer can leave out message indexes. Then the chunk can contain any channel.
                 channels: (!index.message_index_offsets.is_empty())
                     .then(|| index.message_index_offsets.keys().copied().collect()),
             });
             at = end;
             seen.reach(at);
         }
-        // Up to the end of the data section or of the file, whatever comes first.
-        self.walk(at..bytes.len(), &mut contents);
+        // Scan to the end of the data section or the end of the file, whichever comes first.
+        self.scan(at..bytes.len(), &mut contents);
         Ok(contents)
     }
 
-    /// By walking the whole file, looking into every chunk for its channels.
-    fn walked_contents(&self) -> Contents {
+    /// Reads the structure by scanning the whole file and the channels in every chunk.
+    fn scanned_contents(&self) -> Contents {
         let mut contents = Contents::default();
-        self.walk(mcap::MAGIC.len()..self.bytes().len(), &mut contents);
+        self.scan(mcap::MAGIC.len()..self.bytes().len(), &mut contents);
         let mut schemas = BTreeMap::new();
         let mut channels: BTreeMap<u16, mcap::records::Channel> = BTreeMap::new();
         let mut counts: BTreeMap<u16, u64> = BTreeMap::new();
@@ -223,7 +229,7 @@ impl Log {
             }
             _ => {}
         };
-        // Up to the end of the data: the summary repeats them, and may be what is damaged.
+        // Stop at the end of the data section. The summary repeats these records and can be damaged.
         let data = records(self.bytes(), mcap::MAGIC.len()..self.bytes().len())
             .take_while(|record| record.opcode != op::DATA_END);
         let mut seen = Seen::new(self);
@@ -232,7 +238,7 @@ impl Log {
             if matches!(record.opcode, op::SCHEMA | op::CHANNEL) {
                 match record::parse(record.opcode, &self.bytes()[record.body]) {
                     Some(parsed) => define(parsed),
-                    None => contents.dropped.add("records that are malformed", 1),
+                    None => contents.losses.add(LossKind::MalformedRecords, 1),
                 }
             }
         }
@@ -240,7 +246,7 @@ impl Log {
         let mut seen = Seen::new(self);
         for piece in &contents.pieces {
             seen.reach(piece.range.end);
-            // What is broken is counted when the messages are read.
+            // Losses are counted later, when the messages are read.
             chunk::records(self.bytes(), piece, &mut buffer, &mut define);
         }
         contents.time_range_ns = times;
@@ -259,12 +265,12 @@ impl Log {
         contents
     }
 
-    /// Adds the messages and chunks of a stretch of top-level records.
-    fn walk(&self, range: Range<usize>, contents: &mut Contents) {
+    /// Adds the messages and chunks in a range of top-level records.
+    fn scan(&self, range: Range<usize>, contents: &mut Contents) {
         let to_end_of_file = range.end == self.bytes().len();
         let mut at = range.start;
         let mut ended = false;
-        // Messages outside chunks are taken together, up to a size.
+        // Adjacent messages outside chunks form one piece, up to a maximum size.
         let mut loose: Option<Range<usize>> = None;
         let piece = |kind, range| Piece { kind, range, channels: None };
         let mut seen = Seen::new(self);
@@ -273,15 +279,15 @@ impl Log {
             seen.reach(at);
             match record.opcode {
                 op::MESSAGE => {
-                    let stretch = loose.get_or_insert(start..start);
-                    stretch.end = at;
-                    if stretch.len() < LOOSE_BYTES {
+                    let range = loose.get_or_insert(start..start);
+                    range.end = at;
+                    if range.len() < LOOSE_PIECE_BYTES {
                         continue;
                     }
                 }
                 op::CHUNK | op::DATA_END | op::FOOTER => {}
-                0 | END_OF_OPCODES..FIRST_FREE_OPCODE => {
-                    contents.dropped.add("records of a kind that the format does not have", 1);
+                0 | END_OF_OPCODES..FIRST_PRIVATE_OPCODE => {
+                    contents.losses.add(LossKind::UnknownRecords, 1);
                     continue;
                 }
                 _ => continue,
@@ -298,35 +304,35 @@ impl Log {
         }
         contents.pieces.extend(loose.map(|range| piece(PieceKind::Records, range)));
         if !to_end_of_file && at != range.end {
-            contents.dropped.add("stretches between chunks that hold no records", 1);
+            contents.losses.add(LossKind::BytesBetweenChunks, 1);
         }
         if to_end_of_file && !(ended && self.bytes().ends_with(mcap::MAGIC)) {
-            contents.dropped.add(CUT, 1);
+            contents.losses.add(LossKind::TruncatedFile, 1);
             if !ended && self.bytes().get(at) == Some(&op::CHUNK) {
                 let range = at..self.bytes().len();
-                contents.pieces.push(Piece { kind: PieceKind::CutChunk, range, channels: None });
+                contents.pieces.push(piece(PieceKind::TruncatedChunk, range));
             }
         }
     }
 }
 
-/// Lets go of the file's pages as its structure is read: a look at one byte of a chunk brings in
-/// 16 pages around it, which for many chunks adds up.
+/// Releases the pages of the file while its structure is read. Reading one byte of a chunk loads 16
+/// pages around it, which adds up for many chunks.
 struct Seen<'a> {
     log: &'a Log,
     forgotten: usize,
 }
 
 impl<'a> Seen<'a> {
-    /// Bytes after which pages are let go.
-    const STRETCH: usize = 64 << 20;
+    /// Pages are released whenever this many bytes have been passed.
+    const INTERVAL: usize = 64 << 20;
 
     fn new(log: &'a Log) -> Self {
         Self { log, forgotten: 0 }
     }
 
     fn reach(&mut self, end: usize) {
-        if self.forgotten + Self::STRETCH < end {
+        if self.forgotten + Self::INTERVAL < end {
             self.log.forget_up_to(end);
             self.forgotten = end;
         }
@@ -334,19 +340,19 @@ impl<'a> Seen<'a> {
 }
 
 impl Channel {
-    /// How its messages are read, where that is known.
+    /// The type and encoding of its messages, if both are known.
     pub fn source(&self) -> Option<Source> {
         Source::new(&self.schema, &self.message_encoding)
     }
 
-    /// Schema and encoding, for messages.
+    /// Schema and encoding, for messages to the user.
     pub fn describe(&self) -> String {
         let schema = if self.schema.is_empty() { "no schema" } else { &self.schema };
         format!("{schema}, {}", self.message_encoding)
     }
 }
 
-/// Time of the first and the last message, from the statistics or else from the chunk indexes.
+/// Time of the first and the last message, from the statistics or else the chunk indexes.
 fn time_range_ns(summary: &mcap::Summary) -> Option<(u64, u64)> {
     match &summary.stats {
         Some(stats) if stats.message_count == 0 => None,
@@ -359,8 +365,8 @@ fn time_range_ns(summary: &mcap::Summary) -> Option<(u64, u64)> {
     }
 }
 
-/// Whether the summary's CRC, where there is one, matches (MCAP specification, "Footer": over all
-/// bytes from the start of the summary to the CRC itself). An index with a flipped bit could hide
+/// Whether the CRC of the summary matches, if there is one. It covers all bytes from the start of the
+/// summary to the CRC itself (MCAP specification, "Footer"). A flipped bit in an index could hide
 /// chunks.
 fn summary_is_intact(bytes: &[u8]) -> bool {
     let Ok(footer) = mcap::read::footer(bytes) else { return false };
@@ -370,9 +376,9 @@ fn summary_is_intact(bytes: &[u8]) -> bool {
         Ok(start) if start <= end => {
             let is_intact = footer.summary_crc == 0
                 || footer.summary_crc == crc32fast::hash(&bytes[start..end]);
-            // Private records may stand there, and are passed over.
+            // Private records are allowed and skipped.
             let is_sound = |raw: RawRecord| {
-                FIRST_FREE_OPCODE <= raw.opcode || record::is_sound(raw.opcode, &bytes[raw.body])
+                FIRST_PRIVATE_OPCODE <= raw.opcode || record::is_sound(raw.opcode, &bytes[raw.body])
             };
             is_intact && records(bytes, start..bytes.len()).all(is_sound)
         }
@@ -380,7 +386,7 @@ fn summary_is_intact(bytes: &[u8]) -> bool {
     }
 }
 
-/// The chunk that an index points to; none where something else is there.
+/// The chunk that an index points to. `None` if something else is there.
 fn indexed_chunk(bytes: &[u8], index: &mcap::records::ChunkIndex) -> Option<RawRecord> {
     let start = usize::try_from(index.chunk_start_offset).ok()?;
     let end = start.checked_add(usize::try_from(index.chunk_length).ok()?)?;

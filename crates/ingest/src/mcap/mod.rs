@@ -1,4 +1,4 @@
-//! The container: an MCAP file -> its records and messages.
+//! The MCAP container: from the file to records and messages.
 
 pub(crate) mod chunk;
 pub(crate) mod framing;

@@ -1,23 +1,24 @@
-//! The body of an MCAP record -> the record, by the `mcap` crate, which believes what a record says
-//! of the lengths of its parts: it makes room for a string of 4 GB where four bytes say so. Here
-//! they are checked first.
+//! Parses the body of an MCAP record with the `mcap` crate.
+//!
+//! The `mcap` crate trusts the lengths in a record. For example, it allocates 4 GB for a string if
+//! the length field says so. This module checks the lengths first.
 
 use mcap::records::{Record, op};
 
-/// A part of a record's body.
+/// A part of the body of a record.
 enum Part {
-    /// So many bytes.
+    /// This many bytes.
     Fixed(usize),
-    /// A u32, and so many bytes: a string, an array or a map of numbers.
+    /// A u32 length and this many bytes: a string, an array or a map of numbers.
     Counted,
-    /// The same; in it strings in pairs, each counted again.
+    /// The same, containing pairs of strings, each with its own length.
     Strings,
 }
 
 use Part::{Counted, Fixed, Strings};
 
-/// The parts of a record up to its last count (MCAP specification, "Records"); none for kinds that
-/// are of no use here.
+/// The parts of a record up to its last length field (MCAP specification, "Records"). `None` for
+/// kinds of records that are not used.
 fn parts(opcode: u8) -> Option<&'static [Part]> {
     Some(match opcode {
         op::SCHEMA => &[Fixed(2), Counted, Counted, Counted],
@@ -34,7 +35,7 @@ fn parts(opcode: u8) -> Option<&'static [Part]> {
     })
 }
 
-/// Whether all that a record counts lies in its body.
+/// Whether all lengths in a record fit into its body.
 pub(crate) fn is_sound(opcode: u8, body: &[u8]) -> bool {
     fn counted(rest: &[u8]) -> Option<(&[u8], &[u8])> {
         let (length, rest) = rest.split_first_chunk::<4>()?;
@@ -59,7 +60,7 @@ pub(crate) fn is_sound(opcode: u8, body: &[u8]) -> bool {
     parts(opcode).is_some_and(|parts| parts.iter().all(|part| take(part).is_some()))
 }
 
-/// The record; none where its body is malformed, or of a kind that is of no use here.
+/// Parses a record. `None` if its body is malformed or its kind is not used.
 pub(crate) fn parse(opcode: u8, body: &[u8]) -> Option<Record<'_>> {
     match is_sound(opcode, body) {
         true => mcap::parse_record(opcode, body).ok(),
@@ -75,7 +76,7 @@ mod tests {
         [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
     }
 
-    /// A channel by hand: number 1, schema 2, topic, encoding, one pair of metadata.
+    /// A hand-made channel: id 1, schema 2, topic, encoding, one pair of metadata.
     fn channel() -> Vec<u8> {
         let pair = [counted("k"), counted("v")].concat();
         let map = [(pair.len() as u32).to_le_bytes().to_vec(), pair].concat();
@@ -83,30 +84,31 @@ mod tests {
     }
 
     #[test]
-    fn a_record_that_counts_right_is_parsed() {
+    fn a_record_with_correct_lengths_is_parsed() {
         let Some(Record::Channel(found)) = parse(op::CHANNEL, &channel()) else { panic!() };
         assert_eq!((found.id, found.schema_id, found.topic.as_str()), (1, 2, "/scan"));
         assert_eq!(found.metadata["k"], "v");
     }
 
-    /// Each count in turn says 4 GB, or one byte more than there is; each cut lacks something.
+    /// Each length in turn is set to 4 GB, or to the length of the whole record. Each truncated record
+    /// lacks something.
     #[test]
-    fn a_count_beyond_the_body_is_refused() {
+    fn a_length_beyond_the_body_is_rejected() {
         let whole = channel();
         // topic, encoding, map, key, value
         for at in [4, 4 + 9, 4 + 9 + 7, 4 + 9 + 7 + 4, 4 + 9 + 7 + 4 + 5] {
             for claim in [u32::MAX, whole.len() as u32] {
-                let mut lying = whole.clone();
-                lying[at..at + 4].copy_from_slice(&claim.to_le_bytes());
-                assert!(!is_sound(op::CHANNEL, &lying), "{claim} at {at}");
+                let mut wrong = whole.clone();
+                wrong[at..at + 4].copy_from_slice(&claim.to_le_bytes());
+                assert!(!is_sound(op::CHANNEL, &wrong), "{claim} at {at}");
             }
         }
         assert!((0..whole.len()).all(|cut| !is_sound(op::CHANNEL, &whole[..cut])));
     }
 
-    /// The `mcap` crate panics at an attachment that ends within its own header.
+    /// The `mcap` crate panics on an attachment that ends within its own header.
     #[test]
-    fn a_record_of_no_use_is_not_parsed() {
+    fn a_record_of_an_unused_kind_is_not_parsed() {
         for opcode in [0, op::HEADER, op::ATTACHMENT, op::METADATA, op::MESSAGE_INDEX, 0x80] {
             assert!(parse(opcode, &[0; 40]).is_none());
         }

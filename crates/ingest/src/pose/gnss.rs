@@ -1,15 +1,15 @@
-//! Fixes of a satellite receiver -> poses in a local map frame: x east, y north, of an origin.
+//! Satellite fixes -> poses in a local map frame: x points east and y north of an origin.
 //!
-//! A fix has no heading. That of a pose is the course: the direction from where the receiver was
-//! last, [`COURSE_M`] away, to where it is next. A robot that reverses is turned round by it.
+//! A fix has no heading. The heading of a pose is the course: the direction of motion over a
+//! distance of [`COURSE_M`]. If the robot drives backward, the heading is reversed.
 
 use dataset::{LossKind, Pose2, StampedPose};
 use messages::NavSatFix;
 
 use crate::pose_options::Origin;
 
-/// Length of the chords whose direction is the course \[m\]: the noise of a receiver, some
-/// centimetres from fix to fix, turns them by little.
+/// The course is the direction of a chord of at least this length \[m\]. The noise of a receiver, a
+/// few centimetres between two fixes, changes this direction only slightly.
 const COURSE_M: f64 = 2.0;
 
 /// The ellipsoid of WGS 84 (NIMA TR8350.2, 3rd edition, table 3.1): semi-major axis \[m\] and
@@ -17,18 +17,19 @@ const COURSE_M: f64 = 2.0;
 const SEMI_MAJOR_M: f64 = 6_378_137.0;
 const FLATTENING: f64 = 1.0 / 298.257_223_563;
 
-/// `sensor_msgs/NavSatStatus`: below this there is no fix.
+/// `sensor_msgs/NavSatStatus`: lower values mean that there is no fix.
 const STATUS_FIX: i8 = 0;
 
-/// Nearer to 0, 0 than this nobody drives \[deg\].
+/// Positions closer to latitude 0, longitude 0 than this are not fixes \[deg\].
 const NULL_ISLAND_DEG: f64 = 1e-6;
 
-/// Refuses what is no place.
+/// Checks that a message contains a valid fix. The error is the kind of loss that the message is
+/// counted as.
 pub(crate) fn check(fix: &NavSatFix) -> Result<(), LossKind> {
     if fix.status < STATUS_FIX {
         return Err(LossKind::NoGnssFix);
     }
-    // In the Gulf of Guinea, 600 km from land.
+    // This position is in the Gulf of Guinea, 600 km from land. Some receivers send it without a fix.
     if fix.latitude_deg.abs() < NULL_ISLAND_DEG && fix.longitude_deg.abs() < NULL_ISLAND_DEG {
         return Err(LossKind::GnssFixAtZero);
     }
@@ -38,7 +39,7 @@ pub(crate) fn check(fix: &NavSatFix) -> Result<(), LossKind> {
     Ok(())
 }
 
-/// Where a fix is, as the origin of a map frame.
+/// The position of a fix, as the origin of a map frame.
 pub(crate) fn origin(fix: &NavSatFix) -> Origin {
     Origin {
         latitude_deg: fix.latitude_deg,
@@ -47,7 +48,7 @@ pub(crate) fn origin(fix: &NavSatFix) -> Origin {
     }
 }
 
-/// Poses of the receiver, (n,), in order of time.
+/// The poses of the receiver, one for each fix, in order of time.
 pub(crate) fn poses(fixes: &[NavSatFix], origin: &Origin) -> Vec<StampedPose> {
     let plane = LocalPlane::new(origin);
     let mut poses: Vec<StampedPose> = fixes
@@ -64,7 +65,8 @@ pub(crate) fn poses(fixes: &[NavSatFix], origin: &Origin) -> Vec<StampedPose> {
     poses
 }
 
-/// Gives each pose the direction of the chord it lies on; those after the last chord have its.
+/// Sets the heading of each pose to the direction of its chord. The poses after the last chord get the
+/// direction of the last chord.
 fn set_courses(poses: &mut [StampedPose]) {
     let mut start = 0;
     let mut course = None;
@@ -82,7 +84,7 @@ fn set_courses(poses: &mut [StampedPose]) {
     }
 }
 
-/// The plane that touches the ellipsoid, raised to the origin.
+/// The plane parallel to the ellipsoid at the origin.
 struct LocalPlane {
     origin: [f64; 3],
     /// Sine and cosine of the latitude and the longitude of the origin.
@@ -93,7 +95,7 @@ struct LocalPlane {
 impl LocalPlane {
     fn new(origin: &Origin) -> Self {
         Self {
-            origin: earth_centred(origin),
+            origin: earth_centered(origin),
             latitude: libm::sincos(origin.latitude_deg.to_radians()),
             longitude: libm::sincos(origin.longitude_deg.to_radians()),
         }
@@ -102,7 +104,7 @@ impl LocalPlane {
     /// East, north and up of a point \[m\] (Hofmann-Wellenhof, Lichtenegger and Wasle 2008, "GNSS",
     /// eq. 8.7).
     fn east_north_up(&self, point: &Origin) -> [f64; 3] {
-        let p = earth_centred(point);
+        let p = earth_centered(point);
         let [dx, dy, dz]: [f64; 3] = std::array::from_fn(|k| p[k] - self.origin[k]);
         let ((sin_lat, cos_lat), (sin_lon, cos_lon)) = (self.latitude, self.longitude);
         [
@@ -113,8 +115,8 @@ impl LocalPlane {
     }
 }
 
-/// Earth-centred, earth-fixed coordinates \[m\] (the same, eq. 8.4).
-fn earth_centred(point: &Origin) -> [f64; 3] {
+/// Earth-centered, earth-fixed coordinates \[m\] (the same book, eq. 8.4).
+fn earth_centered(point: &Origin) -> [f64; 3] {
     let e2 = FLATTENING * (2.0 - FLATTENING);
     let (sin_lat, cos_lat) = libm::sincos(point.latitude_deg.to_radians());
     let (sin_lon, cos_lon) = libm::sincos(point.longitude_deg.to_radians());
@@ -140,10 +142,10 @@ mod tests {
     }
 
     /// Radii of curvature on WGS 84: along a meridian a (1 - e^2) / (1 - e^2 sin^2)^(3/2), along a
-    /// parallel a cos / sqrt(1 - e^2 sin^2). At 0 deg a degree north is 110 574.3 m and a degree
-    /// east 111 319.5 m; at 60 deg 111 412.2 and 55 800.0 m (the lengths in many a table).
+    /// parallel a cos / sqrt(1 - e^2 sin^2). At latitude 0 one degree is 110 574.3 m north and
+    /// 111 319.5 m east; at latitude 60 deg it is 111 412.2 m and 55 800.0 m (published tables).
     #[test]
-    fn a_thousandth_of_a_degree_by_the_radii_of_curvature() {
+    fn distances_agree_with_the_radii_of_curvature() {
         for (latitude, north_m, east_m) in [(0.0, 110.5743, 111.3195), (60.0, 111.4122, 55.8000)] {
             let place = Origin { latitude_deg: latitude, longitude_deg: -83.7, altitude_m: 0.0 };
             let fixes = [fix(0, latitude + 1e-3, -83.7), fix(1, latitude, -83.7 + 1e-3)];
@@ -151,13 +153,13 @@ mod tests {
             assert!(poses[0].pose.x_m.abs() < 1e-6 && (poses[0].pose.y_m - north_m).abs() < 2e-3);
             assert!((poses[1].pose.x_m - east_m).abs() < 2e-3 && poses[1].pose.y_m.abs() < 2e-3);
         }
-        // The centre of the earth is one equatorial radius away.
+        // At the equator the distance to the center of the earth is the semi-major axis.
         let equator = Origin { latitude_deg: 0.0, longitude_deg: 90.0, altitude_m: 5.0 };
-        let [x, y, z] = earth_centred(&equator);
+        let [x, y, z] = earth_centered(&equator);
         assert!(x.abs() < 1e-8 && (y - SEMI_MAJOR_M - 5.0).abs() < 1e-8 && z == 0.0);
     }
 
-    /// North for 5 fixes 1.1 m apart, then standing still, then east.
+    /// 5 fixes north, 1.1 m apart, then 3 fixes at standstill, then 4 fixes east.
     #[test]
     fn the_heading_is_the_course() {
         let step_north = 1.1 / 110_574.3;
@@ -176,9 +178,9 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_fix_says_why() {
-        let lost = NavSatFix { status: -1, ..fix(0, 1.0, 1.0) };
-        assert_eq!(check(&lost), Err(LossKind::NoGnssFix));
+    fn invalid_fixes_are_refused() {
+        let no_fix = NavSatFix { status: -1, ..fix(0, 1.0, 1.0) };
+        assert_eq!(check(&no_fix), Err(LossKind::NoGnssFix));
         assert_eq!(check(&fix(0, f64::NAN, 0.0)), Err(LossKind::GnssFixOutOfRange));
         assert_eq!(check(&fix(0, 0.0, 0.0)), Err(LossKind::GnssFixAtZero));
         assert_eq!(check(&fix(0, -90.0, 180.0)), Ok(()));

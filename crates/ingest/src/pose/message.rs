@@ -1,16 +1,14 @@
 //! Pose messages -> stamped poses in the plane.
 
 use dataset::{LossKind, Pose2, StampedPose};
-use messages::{Source, read_pose_and_covariance};
+use messages::{MessageError, Source, read_pose_and_covariance};
 
-use crate::types::undecodable;
-
-/// A quaternion whose norm is farther from 1 than this is no orientation.
+/// Largest accepted difference between the norm of a quaternion and 1.
 const MAX_NORM_ERROR: f64 = 0.01;
 
-/// Reads one pose.
+/// Reads one pose message. The error is the kind of loss that the message is counted as.
 pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, LossKind> {
-    let (pose, covariance) = 
+    let (pose, covariance) =
         read_pose_and_covariance(source, data).map_err(|error| undecodable(source, &error))?;
     if !pose.position.iter().all(|v| v.is_finite()) {
         return Err(LossKind::NonFiniteMessages);
@@ -24,8 +22,17 @@ pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, L
     Ok(StampedPose { stamp_ns: pose.stamp_ns, pose: planar, covariance })
 }
 
-/// Of (x, y, z, rotation about x, y, z), (6, 6) row by row, what bears on x, y and heading: xx, xy,
-/// xh, yy, yh, hh. None where it is not known, which messages tell by zeros or a negative variance.
+/// The loss of a message that could not be decoded.
+pub(crate) fn undecodable(source: Source, error: &MessageError) -> LossKind {
+    LossKind::UndecodableMessages {
+        message_type: source.message_type.name().to_owned(),
+        fault: error.kind(),
+    }
+}
+
+/// The covariance of x, y and heading (xx, xy, xh, yy, yh, hh), selected from the (6, 6) covariance of
+/// (x, y, z, rotation about x, y, z), row by row. It is `None` if the covariance is not known, which
+/// messages express by zeros or a negative variance.
 fn planar_covariance(full: &[f64; 36]) -> Option<[f64; 6]> {
     let planar = [full[0], full[1], full[5], full[7], full[11], full[35]];
     let is_known = planar.iter().all(|v| v.is_finite())
@@ -33,7 +40,7 @@ fn planar_covariance(full: &[f64; 36]) -> Option<[f64; 6]> {
     is_known.then_some(planar)
 }
 
-/// A quaternion of length 1, of one that is nearly so.
+/// Normalizes a quaternion whose norm is already close to 1.
 pub(crate) fn unit_quaternion(q: [f64; 4]) -> Result<[f64; 4], LossKind> {
     let norm = q.iter().map(|v| v * v).sum::<f64>().sqrt();
     if !norm.is_finite() {
@@ -45,8 +52,8 @@ pub(crate) fn unit_quaternion(q: [f64; 4]) -> Result<[f64; 4], LossKind> {
     Ok(q.map(|v| v / norm))
 }
 
-/// Heading of a unit quaternion (x, y, z, w): the angle about z of the rotation sequence
-/// z-y'-x'' (REP 103; Diebel 2006, "Representing Attitude", eq. 290).
+/// Heading of a unit quaternion (x, y, z, w): the angle about z of the rotation sequence z-y'-x''
+/// (REP 103; Diebel 2006, "Representing Attitude", eq. 290).
 pub(crate) fn yaw_rad([x, y, z, w]: [f64; 4]) -> f64 {
     libm::atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 }
@@ -57,6 +64,7 @@ mod tests {
     use messages::ros::{write_odometry, write_pose_stamped, write_pose_with_covariance_stamped};
     use messages::{Encoding, MessageType, Odometry, StampedPose3};
 
+    /// Reads a pose from a `PoseStamped` and from an `Odometry` message.
     fn read(orientation: [f64; 4], x: f64) -> Result<StampedPose, LossKind> {
         let pose = StampedPose3 { stamp_ns: 9, position: [x, 2.0, 3.0], orientation };
         let source = |message_type| Source { message_type, encoding: Encoding::Cdr };
@@ -76,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn heading_of_a_turn_about_z_also_when_pitched() {
+    fn the_heading_is_the_angle_about_z_even_when_pitched() {
         let half = 0.5f64.sqrt();
         let pose = read([0.0, 0.0, half, half], 1.0).unwrap(); // 90 deg about z
         assert_eq!((pose.stamp_ns, pose.pose.x_m, pose.pose.y_m), (9, 1.0, 2.0));
@@ -89,9 +97,9 @@ mod tests {
         assert!((pose.pose.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
     }
 
-    /// Entry (i, j) is 10 i + j: x, y and the rotation about z are rows 0, 1 and 5.
+    /// Entry (i, j) is 10 i + j. Rows 0, 1 and 5 are x, y and the rotation about z.
     #[test]
-    fn the_covariance_of_the_plane_is_taken_where_it_is_known() {
+    fn the_planar_covariance_is_read_if_it_is_known() {
         let mut covariance = [0.0; 36];
         for (k, entry) in covariance.iter_mut().enumerate() {
             *entry = (10 * (k / 6) + k % 6) as f64;
@@ -115,11 +123,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_pose_says_why() {
+    fn invalid_messages_are_refused() {
         assert_eq!(read([0.0; 4], 1.0), Err(LossKind::QuaternionNotNormalized));
         assert_eq!(read([0.0, 0.0, 0.0, 1.0], f64::NAN), Err(LossKind::NonFiniteMessages));
         let source = Source { message_type: MessageType::Odometry, encoding: Encoding::Cdr };
-        let undecodable = stamped_pose(source, &[0, 1, 0, 0]).unwrap_err();
-        assert_eq!(undecodable.code(), "undecodable_messages");
+        let error = stamped_pose(source, &[0, 1, 0, 0]).unwrap_err();
+        assert!(
+            matches!(&error, LossKind::UndecodableMessages { message_type, .. } if message_type == "Odometry"),
+            "{error:?}"
+        );
     }
 }

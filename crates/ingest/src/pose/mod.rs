@@ -2,6 +2,9 @@
 
 pub(crate) mod frames;
 pub(crate) mod gnss;
+pub(crate) mod jumps;
 pub(crate) mod message;
 pub(crate) mod readings;
+pub(crate) mod recorded;
+pub(crate) mod topics;
 pub(crate) mod trajectory;

@@ -1,4 +1,4 @@
-//! Readings of the robot's motion, as a log gives them.
+//! The motion measurements of a log, as its messages contain them.
 
 use dataset::{LossKind, StampedPose};
 use fuse::{InertialReading, WheelSample};
@@ -9,33 +9,32 @@ use messages::{
 
 use crate::pose::frames::TransformHistory;
 use crate::pose::gnss;
-use crate::pose::message::{stamped_pose, yaw_rad};
+use crate::pose::message::{stamped_pose, undecodable, yaw_rad};
 use crate::pose_options::{Frames, PoseOptions};
-use crate::types::undecodable;
 
-/// Readings of sensors of motion, in the order of the log.
+/// The motion measurements of a log, in the order of the log.
 #[derive(Debug, Default)]
-pub(crate) struct Motion {
+pub(crate) struct MotionReadings {
     pub(crate) poses: Vec<StampedPose>,
     pub(crate) fixes: Vec<NavSatFix>,
-    pub(crate) frames: TransformHistory,
-    /// Speeds of the wheels.
-    pub(crate) speeds: Vec<WheelSample>,
-    /// Positions of the wheels: stamp \[ns\], left and right \[m\].
-    pub(crate) positions: Vec<(i64, f64, f64)>,
+    pub(crate) transforms: TransformHistory,
+    /// Wheel speeds.
+    pub(crate) wheel_speeds: Vec<WheelSample>,
+    /// Wheel positions: stamp \[ns\], left and right \[m\].
+    pub(crate) wheel_positions: Vec<(i64, f64, f64)>,
     pub(crate) imu: Vec<ImuReading>,
 }
 
+/// An IMU message.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct ImuReading {
-    pub(crate) stamp_ns: i64,
-    pub(crate) angular_velocity: [f64; 3],
-    pub(crate) acceleration: Option<[f64; 3]>,
+    pub(crate) inertial: InertialReading,
+    /// Heading of the orientation, if it is used \[rad\].
     pub(crate) heading_rad: Option<f64>,
 }
 
-impl Motion {
-    /// Adds a message of one of the topics.
+impl MotionReadings {
+    /// Adds a message. The error is the kind of loss that the message is counted as.
     pub(crate) fn add(
         &mut self,
         topic: &str,
@@ -47,12 +46,13 @@ impl Motion {
         match (source.message_type, &options.wheels) {
             (MessageType::Imu, _) => {
                 let imu = read_imu(source, data).map_err(undecodable)?;
-                self.imu.push(ImuReading {
+                let inertial = InertialReading {
                     stamp_ns: imu.stamp_ns,
                     angular_velocity: imu.angular_velocity,
                     acceleration: imu.linear_acceleration,
-                    heading_rad: imu.orientation.filter(|_| options.use_heading).map(yaw_rad),
-                });
+                };
+                let heading_rad = imu.orientation.filter(|_| options.use_heading).map(yaw_rad);
+                self.imu.push(ImuReading { inertial, heading_rad });
             }
             (MessageType::NavSatFix, _) => {
                 let fix = read_nav_sat_fix(source, data).map_err(undecodable)?;
@@ -63,13 +63,13 @@ impl Motion {
                 let is_static = topic.ends_with("_static");
                 let transforms = read_transforms(source, data).map_err(undecodable)?;
                 for transform in transforms {
-                    self.frames.add(&transform, is_static)?;
+                    self.transforms.add(&transform, is_static)?;
                 }
             }
             (MessageType::JointState, _) => self.add_joints(source, data, options)?,
             (MessageType::Odometry, Some(_)) => {
                 let odometry = read_odometry(source, data).map_err(undecodable)?;
-                self.speeds.push(WheelSample::from_twist(
+                self.wheel_speeds.push(WheelSample::from_twist(
                     odometry.pose.stamp_ns,
                     odometry.linear_velocity[0],
                     odometry.angular_velocity[2],
@@ -81,69 +81,111 @@ impl Motion {
         Ok(())
     }
 
-    /// Takes the mean of the wheels of each side, of which there may be several.
+    /// Adds the mean speed, or the mean position, of the wheels on each side. A side can have several
+    /// wheels.
     fn add_joints(
         &mut self,
         source: Source,
         data: &[u8],
         options: &PoseOptions,
     ) -> Result<(), LossKind> {
-        let joints = read_joint_state(source, data)
-            .map_err(|error| undecodable(source, &error))?;
-        let side = |name: &str, values: &[f64]| {
-            let is_side = |joint: &String| joint.to_ascii_lowercase().contains(name);
-            let of_side = joints.names.iter().zip(values).filter(|(joint, _)| is_side(joint));
-            let (sum, n) = of_side.fold((0.0, 0), |(sum, n), (_, value)| (sum + value, n + 1));
+        let joints = read_joint_state(source, data).map_err(|error| undecodable(source, &error))?;
+        let mean = |side: &str, values: &[f64]| {
+            let is_on_side = |joint: &String| joint.to_ascii_lowercase().contains(side);
+            let on_side = joints.names.iter().zip(values).filter(|(joint, _)| is_on_side(joint));
+            let (sum, n) = on_side.fold((0.0, 0), |(sum, n), (_, value)| (sum + value, n + 1));
             (n > 0).then(|| sum / f64::from(n) * options.wheel_radius_m.unwrap_or(1.0))
         };
-        let both = |values: &[f64]| Some((side("left", values)?, side("right", values)?));
+        let both = |values: &[f64]| Some((mean("left", values)?, mean("right", values)?));
         if let Some((left_m_per_s, right_m_per_s)) = both(&joints.velocities) {
-            self.speeds.push(WheelSample {
+            self.wheel_speeds.push(WheelSample {
                 stamp_ns: joints.stamp_ns,
                 left_m_per_s,
                 right_m_per_s,
             });
         } else if let Some((left_m, right_m)) = both(&joints.positions) {
-            self.positions.push((joints.stamp_ns, left_m, right_m));
+            self.wheel_positions.push((joints.stamp_ns, left_m, right_m));
         } else {
             return Err(LossKind::NoWheelJoints { joints: joints.names.join(", ") });
         }
         Ok(())
     }
 
-    /// Adds what comes later in the log, the transforms excepted; returns how many poses are earlier than those before.
-    pub(crate) fn extend(&mut self, other: Self) -> u64 {
+    /// Adds the readings of a later part of the log, except the transforms. Returns the number of
+    /// poses that are earlier than the previous pose.
+    pub(crate) fn extend(&mut self, later: Self) -> u64 {
         let before = self.poses.len().saturating_sub(1);
-        self.poses.extend(other.poses);
-        self.fixes.extend(other.fixes);
-        self.speeds.extend(other.speeds);
-        self.positions.extend(other.positions);
-        self.imu.extend(other.imu);
+        self.poses.extend(later.poses);
+        self.fixes.extend(later.fixes);
+        self.wheel_speeds.extend(later.wheel_speeds);
+        self.wheel_positions.extend(later.wheel_positions);
+        self.imu.extend(later.imu);
         let steps = self.poses[before.min(self.poses.len())..].windows(2);
         steps.filter(|pair| pair[1].stamp_ns < pair[0].stamp_ns).count() as u64
     }
 
-    /// Whether its poses are those of a satellite receiver.
+    /// Whether the poses come from a satellite receiver.
     pub(crate) fn has_fixes(&self) -> bool {
         !self.fixes.is_empty()
     }
 
-    /// Takes over the transforms that come later in the log.
-    pub(crate) fn add_frames(&mut self, other: &mut Self) {
-        self.frames.extend(std::mem::take(&mut other.frames));
+    /// Moves the transforms of a later part of the log to this one.
+    pub(crate) fn take_transforms(&mut self, later: &mut Self) {
+        self.transforms.extend(std::mem::take(&mut later.transforms));
     }
 
-    /// Forgets transforms that are not needed.
-    pub(crate) fn cut_down(&mut self, options: &PoseOptions) {
+    /// Removes the transforms that are not needed.
+    pub(crate) fn prune_transforms(&mut self, options: &PoseOptions) {
         if let Some(Frames { parent, child, .. }) = &options.frames {
-            self.frames.cut_down(parent, child);
+            self.transforms.prune(parent, child);
         }
     }
 }
 
-impl ImuReading {
-    pub(crate) fn inertial(&self) -> Inertial {
-        let &Self { stamp_ns, angular_velocity, acceleration, .. } = self;
-        Inertial { stamp_ns, angular_velocity, acceleration }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use messages::{Encoding, JointState, ros};
+
+    fn add_joints(
+        readings: &mut MotionReadings,
+        names: &[&str],
+        velocities: &[f64],
+        positions: &[f64],
+    ) -> Result<(), LossKind> {
+        let joints = JointState {
+            stamp_ns: 7,
+            names: names.iter().map(|&name| name.to_owned()).collect(),
+            positions: positions.to_vec(),
+            velocities: velocities.to_vec(),
+        };
+        let bytes = ros::write_joint_state(Encoding::Cdr, "base", &joints);
+        let source = Source { message_type: MessageType::JointState, encoding: Encoding::Cdr };
+        let options = PoseOptions { wheel_radius_m: Some(0.5), ..PoseOptions::default() };
+        readings.add("/wheels", source, &bytes, &options)
+    }
+
+    #[test]
+    fn the_speed_of_a_side_is_the_mean_of_its_wheels() {
+        let mut readings = MotionReadings::default();
+        let names = ["rear_Right", "front_left", "rear_left", "front_Right"];
+        add_joints(&mut readings, &names, &[4.0, 1.0, 2.0, 6.0], &[]).unwrap();
+        let sample = readings.wheel_speeds[0];
+        assert_eq!((sample.stamp_ns, sample.left_m_per_s, sample.right_m_per_s), (7, 0.75, 2.5));
+    }
+
+    #[test]
+    fn positions_are_used_if_there_are_no_velocities() {
+        let mut readings = MotionReadings::default();
+        add_joints(&mut readings, &["left", "right"], &[], &[1.0, 3.0]).unwrap();
+        assert_eq!(readings.wheel_positions, [(7, 0.5, 1.5)]);
+        assert!(readings.wheel_speeds.is_empty());
+    }
+
+    #[test]
+    fn joints_without_a_left_and_a_right_wheel_are_refused() {
+        let mut readings = MotionReadings::default();
+        let error = add_joints(&mut readings, &["arm", "gripper"], &[1.0, 2.0], &[]).unwrap_err();
+        assert_eq!(error, LossKind::NoWheelJoints { joints: "arm, gripper".to_owned() });
     }
 }

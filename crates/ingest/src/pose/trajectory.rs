@@ -1,174 +1,110 @@
-//! What a log says of the robot's motion -> its trajectory: poses as they are, of transforms, of
-//! satellite fixes, or fused from wheels and IMU.
+//! The motion measurements of a log -> the trajectory of the lidar.
+//!
+//! The poses are read from a topic, looked up in the transforms, computed from satellite fixes, or
+//! fused from wheels and an IMU.
 
-use dataset::{LossKind, Losses, Note, NoteKind, Pose2, StampedPose, Trajectory};
-use fuse::{Fused, ImuSample, InertialReading, WheelSample};
+use dataset::{Loss, LossKind, Losses, Note, NoteKind, Pose2, StampedPose, Subject, Trajectory};
+use fuse::{FuseError, Fused, ImuSample, InertialReading, WheelSample};
+use messages::NavSatFix;
 
-use crate::deskew::motion::is_jump;
-use crate::drive::topic::{Drive, Topic};
 use crate::error::IngestError;
 use crate::pose::frames::{LookupError, TransformHistory};
 use crate::pose::gnss;
-use crate::pose::readings::{ImuReading, Motion};
+use crate::pose::jumps::jumps;
+use crate::pose::readings::{ImuReading, MotionReadings};
+use crate::pose::topics::PoseTopics;
 use crate::pose_options::{Frames, Origin, PoseOptions};
-use crate::types::{FRAME_TYPES, IMU_TYPES, POSE_TYPES, WHEEL_TYPES};
 
-/// The topics that poses come from.
-pub(crate) enum PoseTopics {
-    /// One that has them.
-    Poses(Topic),
-    /// Those that have transforms, one at least.
-    Frames(Vec<Topic>),
-    /// Those they are made from.
-    Wheels { wheels: Topic, imu: Option<Topic> },
-}
-
-impl PoseTopics {
-    pub(crate) fn find(drive: &Drive<'_>, options: &PoseOptions) -> Result<Self, IngestError> {
-        if let Some(frames) = &options.frames {
-            return Self::find_frames(drive, &frames.topics);
-        }
-        let Some(wheels) = &options.wheels else {
-            let topic = options.topic.as_deref().unwrap_or_default();
-            return Ok(Self::Poses(drive.topic(topic, "ingest.pose.topic", &POSE_TYPES)?));
-        };
-        let imu = options.imu.as_ref();
-        Ok(Self::Wheels {
-            wheels: drive.topic(wheels, "ingest.pose.wheels", &WHEEL_TYPES)?,
-            imu: imu.map(|imu| drive.topic(imu, "ingest.pose.imu", &IMU_TYPES)).transpose()?,
-        })
-    }
-
-    /// A log need not have them all: it may have no static transforms.
-    fn find_frames(drive: &Drive<'_>, names: &[String]) -> Result<Self, IngestError> {
-        let mut topics = Vec::new();
-        let mut missing = None;
-        for name in names {
-            match drive.topic(name, "ingest.pose.frames.topics", &FRAME_TYPES) {
-                Ok(topic) => topics.push(topic),
-                Err(error @ IngestError::NoTopic { .. }) => missing = missing.or(Some(error)),
-                Err(error) => return Err(error),
-            }
-        }
-        match missing {
-            Some(error) if topics.is_empty() => Err(error),
-            _ => Ok(Self::Frames(topics)),
-        }
-    }
-
-    pub(crate) fn all(&self) -> Vec<&Topic> {
-        match self {
-            Self::Poses(topic) => vec![topic],
-            Self::Frames(topics) => topics.iter().collect(),
-            Self::Wheels { wheels, imu } => [wheels].into_iter().chain(imu).collect(),
-        }
-    }
-
-    /// The topic without which there is no pose.
-    fn main(&self) -> &Topic {
-        match self {
-            Self::Poses(topic) | Self::Wheels { wheels: topic, .. } => topic,
-            Self::Frames(topics) => &topics[0],
-        }
-    }
-}
-
-impl Motion {
-    /// The trajectory of the lidar; what was left out and what is to be known is added.
-    pub(crate) fn trajectory(
-        self,
-        from: &PoseSource<'_>,
-        losses: &mut Losses,
-        notes: &mut Vec<Note>,
-    ) -> Result<Trajectory, IngestError> {
-        let options = from.options;
-        let poses = match (from.topics, &options.frames) {
-            (PoseTopics::Frames(_), Some(frames)) => {
-                let (poses, n_beyond) = self
-                    .frames
-                    .poses(&frames.parent, &frames.child, from.upside_down)
-                    .map_err(|why| from.no_frames(why, frames, &self.frames))?;
-                notes.extend(self.frames.forks());
-                losses.add(LossKind::PosesWithoutTransform, n_beyond);
-                poses
-            }
-            (PoseTopics::Wheels { wheels, .. }, _) => {
-                let fused = self.fuse(options).map_err(|source| IngestError::Fuse {
-                    path: from.path.to_owned(),
-                    topic: wheels.name.clone(),
-                    source,
-                })?;
-                notes.extend(fusion_notes(&fused));
-                losses.merge(fused.report.losses.clone());
-                let pose = |p: &fuse::FusedPose| StampedPose {
-                    stamp_ns: p.stamp_ns,
-                    pose: p.pose,
-                    covariance: Some(p.covariance),
-                };
-                fused.poses.iter().map(pose).collect()
-            }
-            _ => {
-                match self.fixes.first().map(|first| options.origin.unwrap_or(gnss::origin(first)))
-                {
-                    Some(origin) => {
-                        let Origin { latitude_deg, longitude_deg, altitude_m } = origin;
-                        let n_fixes = self.fixes.len() as u64;
-                        notes.push(
-                            NoteKind::PosesFromFixes {
-                                n_fixes,
-                                latitude_deg,
-                                longitude_deg,
-                                altitude_m,
-                            }
-                            .into(),
-                        );
-                        gnss::poses(&self.fixes, &origin)
-                    }
-                    None => self.poses,
-                }
-            }
-        };
-        let mount = from.mount;
-        let poses = poses.into_iter().map(|pose| mounted(&pose, &mount)).collect();
-        let (trajectory, n_duplicates) = Trajectory::new(poses);
-        losses.add(LossKind::DuplicatePoseStamps, n_duplicates as u64);
-        if trajectory.poses().is_empty() {
-            return Err(from.no_poses(losses));
-        }
-        notes.extend(jumps(&trajectory, options.max_speed_m_s));
-        Ok(trajectory)
-    }
-
-    fn fuse(self, options: &PoseOptions) -> Result<Fused, fuse::FuseError> {
-        let mut wheels = self.speeds;
-        wheels.extend(WheelSample::from_positions(&self.positions));
-        let readings: Vec<InertialReading> = self.imu.iter().map(ImuReading::inertial).collect();
-        let yaw_rates = fuse::yaw_rates_rad_s(&readings, &wheels);
-        let imu: Vec<ImuSample> = (self.imu.iter().zip(yaw_rates))
-            .map(|(reading, yaw_rate_rad_s)| ImuSample {
-                stamp_ns: reading.stamp_ns,
-                yaw_rate_rad_s,
-                heading_rad: reading.heading_rad,
-            })
-            .collect();
-        let start = options.start.map(|start| start.pose());
-        fuse::fuse(&options.fuse_options(), &wheels, &imu, start, None)
-    }
-}
-
-/// Where the poses of a drive come from.
+/// The source of the poses of a drive.
 pub(crate) struct PoseSource<'a> {
-    /// Stands for the drive in errors.
+    /// The drive in error messages.
     pub(crate) path: &'a std::path::Path,
     pub(crate) topics: &'a PoseTopics,
     pub(crate) options: &'a PoseOptions,
-    /// `base_from_lidar`
-    pub(crate) mount: Pose2,
-    /// Whether the lidar is known to hang.
+    /// The pose of the lidar on the robot.
+    pub(crate) base_from_lidar: Pose2,
+    /// Whether the options say that the lidar is mounted upside down.
     pub(crate) upside_down: bool,
 }
 
+/// Computes the trajectory of the lidar. Adds data that was left out to `losses` and remarks to
+/// `notes`.
+pub(crate) fn trajectory(
+    readings: MotionReadings,
+    source: &PoseSource<'_>,
+    losses: &mut Losses,
+    notes: &mut Vec<Note>,
+) -> Result<Trajectory, IngestError> {
+    let options = source.options;
+    let main_topic = &source.topics.main().name;
+    let robot_poses = match (source.topics, &options.frames) {
+        (PoseTopics::Frames(_), Some(frames)) => {
+            source.poses_from_transforms(&readings.transforms, frames, losses, notes)?
+        }
+        (PoseTopics::Wheels { .. }, _) => source.fused_poses(&readings, losses, notes)?,
+        _ => match readings.fixes.first() {
+            Some(first) => {
+                let origin = options.origin.unwrap_or(gnss::origin(first));
+                notes.push(note_of_fixes(&readings.fixes, &origin).into());
+                gnss::poses(&readings.fixes, &origin)
+            }
+            None => readings.poses,
+        },
+    };
+    let lidar_poses =
+        robot_poses.iter().map(|robot| lidar_pose(robot, &source.base_from_lidar)).collect();
+    let (trajectory, n_duplicates) = Trajectory::new(lidar_poses);
+    let duplicates = Loss::new(LossKind::DuplicatePoseStamps, Subject::topic(main_topic));
+    losses.add(duplicates, n_duplicates as u64);
+    if trajectory.poses().is_empty() {
+        return Err(source.no_poses(losses));
+    }
+    let jumps = jumps(&trajectory, options.max_speed_m_s);
+    notes.extend(jumps.map(|kind| Note::new(kind, Subject::topic(main_topic))));
+    Ok(trajectory)
+}
+
 impl PoseSource<'_> {
+    /// Poses of the child frame in the parent frame.
+    fn poses_from_transforms(
+        &self,
+        transforms: &TransformHistory,
+        frames: &Frames,
+        losses: &mut Losses,
+        notes: &mut Vec<Note>,
+    ) -> Result<Vec<StampedPose>, IngestError> {
+        let Frames { parent, child, .. } = frames;
+        let (poses, n_unknown) = transforms
+            .poses(parent, child, self.upside_down)
+            .map_err(|error| self.no_frames(error, frames, transforms))?;
+        notes.extend(transforms.notes().map(Note::from));
+        let subject = Subject::transform(parent, child);
+        losses.add(Loss::new(LossKind::PosesWithoutTransform, subject), n_unknown);
+        Ok(poses)
+    }
+
+    /// Poses fused from wheels and an IMU.
+    fn fused_poses(
+        &self,
+        readings: &MotionReadings,
+        losses: &mut Losses,
+        notes: &mut Vec<Note>,
+    ) -> Result<Vec<StampedPose>, IngestError> {
+        let fused = fuse_readings(readings, self.options).map_err(|source| IngestError::Fuse {
+            path: self.path.to_owned(),
+            topic: self.topics.main().name.clone(),
+            source,
+        })?;
+        notes.extend(notes_of_fusion(&fused.report).into_iter().map(Note::from));
+        losses.merge(fused.report.losses);
+        let poses = fused.poses.iter().map(|fused| StampedPose {
+            stamp_ns: fused.stamp_ns,
+            pose: fused.pose,
+            covariance: Some(fused.covariance),
+        });
+        Ok(poses.collect())
+    }
+
     fn no_poses(&self, losses: &Losses) -> IngestError {
         let topic = self.topics.main().name.clone();
         IngestError::NoPoses { path: self.path.to_owned(), topic, losses: losses.clone() }
@@ -176,38 +112,53 @@ impl PoseSource<'_> {
 
     fn no_frames(
         &self,
-        why: LookupError,
+        source: LookupError,
         frames: &Frames,
-        graph: &TransformHistory,
+        transforms: &TransformHistory,
     ) -> IngestError {
-        let names: Vec<String> = graph.names().iter().map(|name| format!("`{name}`")).collect();
+        let names: Vec<String> =
+            transforms.frame_names().iter().map(|name| format!("`{name}`")).collect();
         IngestError::NoFrames {
             path: self.path.to_owned(),
             parent: frames.parent.clone(),
             child: frames.child.clone(),
-            why: match why {
-                LookupError::Unconnected => "no transforms lead from one to the other",
-                LookupError::Still => "none of the transforms between them moves",
-                LookupError::UpsideDown => {
-                    "its z axis points down: if that is the lidar's frame, set `ingest.lidar.upside_down = true`, and if not, name the robot's frame"
-                }
-            },
             found: match names.as_slice() {
-                [] => "the log has no transform that can be read".to_owned(),
-                names => format!("the transforms connect the frames {}", names.join(", ")),
+                [] => "no readable transforms".to_owned(),
+                names => format!("the frames {}", names.join(", ")),
             },
+            source,
         }
     }
 }
 
-/// The pose of a sensor on the robot, of that of the robot, with its covariance: of
-/// x + c mx - s my, y + s mx + c my and h, to first order.
-fn mounted(robot: &StampedPose, mount: &Pose2) -> StampedPose {
-    let pose = robot.pose * *mount;
-    let [dx, dy] = [pose.x_m - robot.pose.x_m, pose.y_m - robot.pose.y_m];
-    // How the sensor's x and y change with the robot's heading.
+/// Fuses wheels and IMU to poses of the robot.
+fn fuse_readings(readings: &MotionReadings, options: &PoseOptions) -> Result<Fused, FuseError> {
+    let mut wheels = readings.wheel_speeds.clone();
+    wheels.extend(WheelSample::from_positions(&readings.wheel_positions));
+    let inertial: Vec<InertialReading> =
+        readings.imu.iter().map(|reading| reading.inertial).collect();
+    let yaw_rates = fuse::yaw_rates_rad_s(&inertial, &wheels);
+    let sample = |(reading, yaw_rate_rad_s): (&ImuReading, f64)| ImuSample {
+        stamp_ns: reading.inertial.stamp_ns,
+        yaw_rate_rad_s,
+        heading_rad: reading.heading_rad,
+    };
+    let imu: Vec<ImuSample> = readings.imu.iter().zip(yaw_rates).map(sample).collect();
+    let start = options.start.map(|start| start.pose());
+    fuse::fuse(&options.fuse_options(), &wheels, &imu, start, None)
+}
+
+/// The pose of the lidar, `map_from_lidar = map_from_base * base_from_lidar`, with its covariance.
+///
+/// With the mount (mx, my) and c, s the cosine and sine of the heading, the position of the lidar is
+/// (x + c mx - s my, y + s mx + c my). The covariance is propagated to first order.
+fn lidar_pose(map_from_base: &StampedPose, base_from_lidar: &Pose2) -> StampedPose {
+    let map_from_lidar = map_from_base.pose * *base_from_lidar;
+    let [dx, dy] =
+        [map_from_lidar.x_m - map_from_base.pose.x_m, map_from_lidar.y_m - map_from_base.pose.y_m];
+    // Derivatives of the position of the lidar with respect to the heading of the robot.
     let [a, b] = [-dy, dx];
-    let covariance = robot.covariance.map(|[xx, xy, xh, yy, yh, hh]| {
+    let covariance = map_from_base.covariance.map(|[xx, xy, xh, yy, yh, hh]| {
         [
             xx + 2.0 * a * xh + a * a * hh,
             xy + b * xh + a * yh + a * b * hh,
@@ -217,30 +168,19 @@ fn mounted(robot: &StampedPose, mount: &Pose2) -> StampedPose {
             hh,
         ]
     });
-    StampedPose { stamp_ns: robot.stamp_ns, pose, covariance }
+    StampedPose { stamp_ns: map_from_base.stamp_ns, pose: map_from_lidar, covariance }
 }
 
-/// Poses that a robot of this speed cannot reach from the pose before.
-fn jumps(trajectory: &Trajectory, max_speed_m_s: f64) -> Option<Note> {
-    let pairs = trajectory.poses().windows(2);
-    let jumps: Vec<_> = pairs.filter(|p| is_jump(&p[0], &p[1], max_speed_m_s)).collect();
-    let distance_m = |p: &[StampedPose]| p[0].pose.distance_m(&p[1].pose);
-    let largest = jumps.iter().rev().max_by(|a, b| distance_m(a).total_cmp(&distance_m(b)))?;
-    Some(
-        NoteKind::PoseJumps {
-            n_jumps: jumps.len() as u64,
-            max_speed_m_s,
-            largest_m: distance_m(largest),
-            largest_s: largest[1].stamp_ns.saturating_sub(largest[0].stamp_ns) as f64 * 1e-9,
-            stamp_ns: largest[0].stamp_ns,
-        }
-        .into(),
-    )
+fn note_of_fixes(fixes: &[NavSatFix], origin: &Origin) -> NoteKind {
+    NoteKind::PosesFromFixes {
+        n_fixes: fixes.len() as u64,
+        latitude_deg: origin.latitude_deg,
+        longitude_deg: origin.longitude_deg,
+        altitude_m: origin.altitude_m,
+    }
 }
 
-/// Notes about the fusion of wheels and IMU.
-fn fusion_notes(fused: &Fused) -> Vec<Note> {
-    let report = &fused.report;
+fn notes_of_fusion(report: &fuse::Report) -> Vec<NoteKind> {
     let mut notes = vec![NoteKind::PosesFused {
         n_wheel_samples: report.n_wheel_samples as u64,
         n_imu_samples: report.n_imu_samples as u64,
@@ -250,26 +190,27 @@ fn fusion_notes(fused: &Fused) -> Vec<Note> {
         track_std_m: report.track_m.std,
         gyro_bias_rad_s: report.gyro_bias_mean_rad_s,
     }];
-    if 0 < report.n_headings {
-        let (n_headings, n_outliers) = (report.n_headings, report.n_heading_outliers);
-        notes.push(NoteKind::HeadingsUsed { n_headings, n_outliers });
+    if report.n_headings > 0 {
+        notes.push(NoteKind::HeadingsUsed {
+            n_headings: report.n_headings,
+            n_outliers: report.n_heading_outliers,
+        });
     }
-    if 0 < report.n_turn_outliers {
+    if report.n_turn_outliers > 0 {
         notes.push(NoteKind::WheelSlip { secs: report.n_turn_outliers });
     }
     for (gaps, sensor) in [(report.wheel_gaps, "wheel"), (report.imu_gaps, "imu")] {
-        if 0 < gaps.n {
-            let (n_gaps, secs) = (gaps.n, gaps.secs);
-            notes.push(NoteKind::SampleGaps { sensor: sensor.to_owned(), n_gaps, secs });
+        if gaps.n > 0 {
+            let (sensor, n_gaps) = (sensor.to_owned(), gaps.n as u64);
+            notes.push(NoteKind::SampleGaps { sensor, n_gaps, secs: gaps.secs });
         }
     }
-    notes.into_iter().map(Note::from).collect()
+    notes
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use messages::{Encoding, Imu, JointState, MessageType, Source, ros};
 
     fn options() -> PoseOptions {
         PoseOptions {
@@ -280,78 +221,55 @@ mod tests {
         }
     }
 
-    fn add(motion: &mut Motion, message_type: MessageType, bytes: &[u8]) -> Result<(), LossKind> {
-        motion.add("/topic", Source { message_type, encoding: Encoding::Cdr }, bytes, &options())
-    }
-
-    fn joints(stamp_ns: i64, names: &[&str], velocities: &[f64], positions: &[f64]) -> Vec<u8> {
-        let joints = JointState {
-            stamp_ns,
-            names: names.iter().map(|&name| name.to_owned()).collect(),
-            positions: positions.to_vec(),
-            velocities: velocities.to_vec(),
-        };
-        ros::write_joint_state(Encoding::Cdr, "base", &joints)
-    }
-
-    /// 10 s of a quarter turn: radius 2 m, so that the path ends at (2, 2), heading 90 deg. The IMU
-    /// hangs upside down: up is its -z.
+    /// A quarter turn in 10 s with a radius of 2 m, which ends at (2, 2) with heading 90 deg. The IMU
+    /// is mounted upside down, so the direction up is its -z axis.
     #[test]
-    fn wheels_and_an_imu_upside_down_give_the_arc() {
+    fn wheels_and_an_imu_upside_down_are_fused_to_an_arc() {
         let yaw_rate = std::f64::consts::FRAC_PI_2 / 10.0;
-        let (left, right) = (yaw_rate * 1.75, yaw_rate * 2.25);
-        let mut motion = Motion::default();
+        let mut readings = MotionReadings::default();
         for k in 0..=1000i64 {
             let stamp_ns = k * 10_000_000;
-            let imu = Imu {
+            let inertial = InertialReading {
                 stamp_ns,
-                orientation: None,
                 angular_velocity: [0.0, 0.0, -yaw_rate],
-                linear_acceleration: Some([0.0, 0.0, -9.81]),
+                acceleration: Some([0.0, 0.0, -9.81]),
             };
-            add(&mut motion, MessageType::Imu, &ros::write_imu(Encoding::Cdr, "imu", &imu))
-                .unwrap();
-            // Two wheels on each side, whose mean counts, in any order.
-            let names = ["rear_Right", "front_left", "rear_left", "front_Right"];
-            let speeds = [right + 0.1, left + 0.2, left - 0.2, right - 0.1];
-            let bytes = joints(stamp_ns, &names, &speeds, &[]);
-            add(&mut motion, MessageType::JointState, &bytes).unwrap();
+            readings.imu.push(ImuReading { inertial, heading_rad: None });
+            let (left_m_per_s, right_m_per_s) = (yaw_rate * 1.75, yaw_rate * 2.25);
+            readings.wheel_speeds.push(WheelSample { stamp_ns, left_m_per_s, right_m_per_s });
         }
-        let fused = motion.fuse(&options()).unwrap();
+        let fused = fuse_readings(&readings, &options()).unwrap();
         let end = fused.poses.last().unwrap();
         assert!((end.pose.x_m - 2.0).abs() < 0.01 && (end.pose.y_m - 2.0).abs() < 0.01, "{end:?}");
         assert!((end.pose.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 0.01);
     }
 
-    /// A lidar 2 m ahead of a robot that looks along y: an error of the heading of 0.1 rad moves it
-    /// by 0.2 m along -x. With sd 0.3, 0.4 m and 0.1 rad, independent, x has 0.09 + 0.04.
     #[test]
-    fn the_covariance_moves_with_the_mount() {
+    fn wheel_positions_are_converted_to_speeds() {
+        let mut readings = MotionReadings::default();
+        for k in 0..=100i64 {
+            readings.wheel_positions.push((k * 100_000_000, 0.1 * k as f64, 0.1 * k as f64));
+        }
+        let fused = fuse_readings(&readings, &options()).unwrap();
+        assert!((fused.report.distance_m - 9.9).abs() < 0.01, "{}", fused.report.distance_m);
+    }
+
+    /// A lidar 2 m in front of a robot with heading 90 deg: an error of the heading of 0.1 rad moves
+    /// the lidar by 0.2 m along -x. With independent standard deviations of 0.3 m, 0.4 m and 0.1 rad,
+    /// the variance of x is 0.09 + 0.04.
+    #[test]
+    fn the_covariance_of_the_lidar_includes_the_heading_error() {
         let heading_rad = std::f64::consts::FRAC_PI_2;
         let robot = StampedPose {
             stamp_ns: 5,
             pose: Pose2 { x_m: 7.0, y_m: 8.0, heading_rad },
             covariance: Some([0.09, 0.0, 0.0, 0.16, 0.0, 0.01]),
         };
-        let lidar = mounted(&robot, &Pose2 { x_m: 2.0, y_m: 0.0, heading_rad: 0.0 });
+        let lidar = lidar_pose(&robot, &Pose2 { x_m: 2.0, y_m: 0.0, heading_rad: 0.0 });
         assert!((lidar.pose.x_m - 7.0).abs() < 1e-12 && (lidar.pose.y_m - 10.0).abs() < 1e-12);
         let expected = [0.13, 0.0, -0.02, 0.16, 0.0, 0.01];
         for (found, expected) in lidar.covariance.unwrap().iter().zip(expected) {
             assert!((found - expected).abs() < 1e-12, "{:?}", lidar.covariance);
         }
-    }
-
-    #[test]
-    fn positions_are_differenced_and_joints_without_sides_named() {
-        let mut motion = Motion::default();
-        for k in 0..=100i64 {
-            let bytes = joints(k * 100_000_000, &["left", "right"], &[], &[0.1 * k as f64; 2]);
-            add(&mut motion, MessageType::JointState, &bytes).unwrap();
-        }
-        let fused = motion.fuse(&options()).unwrap();
-        assert!((fused.report.distance_m - 9.9).abs() < 0.01, "{}", fused.report.distance_m);
-        let bytes = joints(0, &["arm", "gripper"], &[1.0, 2.0], &[]);
-        let reason = add(&mut Motion::default(), MessageType::JointState, &bytes).unwrap_err();
-        assert_eq!(reason, LossKind::NoWheelJoints { joints: "arm, gripper".to_owned() });
     }
 }

@@ -2,16 +2,17 @@
 
 use std::path::Path;
 
-use dataset::{Losses, LossKind, Note, NoteKind, Pose2, Scan, Subject, Trajectory};
+use dataset::{LossKind, Losses, Note, NoteKind, Pose2, Scan, Subject, Trajectory};
 use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
-use crate::deskew::queue::{Deskewer, Raw, Released};
+use crate::deskew::queue::{Deskewer, MeasuredScan, ReadyScan};
 use crate::drive::topic::Topic;
 use crate::error::{IngestError, NoScansReason};
 use crate::options::{Clock, Options};
-use crate::pose::readings::Motion;
-use crate::pose::trajectory::{PoseSource, PoseTopics};
+use crate::pose::readings::MotionReadings;
+use crate::pose::topics::PoseTopics;
+use crate::pose::trajectory::{self, PoseSource};
 use crate::scan::decode::Decoded;
 use crate::velodyne::model::{Laser, OtherSensor, format_lasers};
 use crate::velodyne::revolution::ScanBuilder;
@@ -46,7 +47,7 @@ pub(crate) struct Assembler {
     packets: PacketStream,
     builder: ScanBuilder,
     deskewer: Deskewer,
-    motion: Motion,
+    motion: MotionReadings,
     counts: Counts,
     losses: Losses,
 }
@@ -77,7 +78,7 @@ impl Assembler {
             packets: PacketStream::new(&options.lidar, laser),
             builder: ScanBuilder::new(&options.lidar, laser),
             deskewer: Deskewer::new(options),
-            motion: Motion::default(),
+            motion: MotionReadings::default(),
             counts: Counts::default(),
             losses,
         }
@@ -90,48 +91,45 @@ impl Assembler {
         take: &mut impl FnMut(Vec<Scan>) -> Result<(), E>,
     ) -> Result<(), E> {
         let mut revolutions = Vec::new();
-        let mut released = Vec::new();
+        let mut ready = Vec::new();
         for piece in decoded {
             self.packets.push(piece.file, piece.packets, &mut revolutions);
-            let scans = piece.scans.into_iter().map(Raw::Scan);
+            let scans = piece.scans.into_iter().map(MeasuredScan::Timed);
             scans
-                .chain(revolutions.drain(..).map(Raw::Revolution))
-                .for_each(|raw| self.deskewer.hold(raw));
+                .chain(revolutions.drain(..).map(MeasuredScan::Revolution))
+                .for_each(|scan| self.deskewer.push(scan));
             self.add_motion(piece.motion);
-            self.deskewer.release(false, &mut released);
+            self.deskewer.release(false, &mut ready);
             self.counts.n_sorted_clouds += piece.n_sorted_clouds;
             self.counts.n_clouds_of_other_clock += piece.n_clouds_of_other_clock;
             self.counts.n_messages += piece.n_messages;
             self.counts.is_damaged |= piece.is_damaged;
             self.losses.merge(piece.losses);
         }
-        take(self.build_scans(released))
+        take(self.build_scans(ready))
     }
 
     /// Adds the motion of the next piece.
-    fn add_motion(&mut self, mut next: Motion) {
-        self.motion.add_frames(&mut next);
+    fn add_motion(&mut self, mut next: MotionReadings) {
+        self.motion.take_transforms(&mut next);
         if let Some(options) = &self.options.pose {
-            self.motion.cut_down(options);
+            self.motion.prune_transforms(options);
         }
-        self.deskewer.follow(&next, &self.motion);
+        self.deskewer.add_readings(&next, &self.motion);
         self.counts.n_poses_back += self.motion.extend(next);
     }
 
-    fn build_scans(&mut self, released: Vec<Released>) -> Vec<Scan> {
+    fn build_scans(&mut self, ready: Vec<ReadyScan>) -> Vec<Scan> {
         let counts = &mut self.counts;
-        for (raw, _) in &released {
-            if let Raw::Revolution(revolution) = raw {
+        for scan in &ready {
+            if let MeasuredScan::Revolution(revolution) = &scan.measured {
                 let firings = &revolution.firings;
                 counts.n_firings += firings.len() as u64;
                 counts.n_returns += firings.iter().filter(|f| f.distance != 0).count() as u64;
             }
         }
         let builder = &self.builder;
-        let scans: Vec<Scan> = released
-            .into_par_iter()
-            .map(|(raw, smear)| raw.scan(builder, smear.as_ref()))
-            .collect();
+        let scans: Vec<Scan> = ready.into_par_iter().map(|scan| scan.build(builder)).collect();
         counts.n_scans += scans.len();
         let has_hole = |scan: &&Scan| MIN_NOTED_HOLE_DEG < scan.hole_deg;
         counts.n_scans_with_hole += scans.iter().filter(has_hole).count() as u64;
@@ -168,18 +166,18 @@ impl Assembler {
     ) -> Result<Ingested, E> {
         let mut revolutions = Vec::new();
         let mut packets = self.packets.finish(&mut revolutions);
-        revolutions.into_iter().for_each(|r| self.deskewer.hold(Raw::Revolution(r)));
-        let mut released = Vec::new();
-        self.deskewer.release(true, &mut released);
-        take(self.build_scans(released))?;
+        revolutions.into_iter().for_each(|r| self.deskewer.push(MeasuredScan::Revolution(r)));
+        let mut ready = Vec::new();
+        self.deskewer.release(true, &mut ready);
+        take(self.build_scans(ready))?;
         self.losses.merge(std::mem::take(&mut packets.losses).on_topic(&lidar.name));
 
         let mut notes = lidar.notes.clone();
         let pose_topics = pose.iter().flat_map(|topics| topics.all());
         notes.extend(pose_topics.flat_map(|topic| topic.notes.clone()));
-        notes.extend(self.deskewer.notes());
-        let subject = || Subject::topic(&lidar.name);
-        notes.extend(self.lidar_notes(&packets).into_iter().map(|n| Note::new(n, subject())));
+        let on_lidar = |kind| Note::new(kind, Subject::topic(&lidar.name));
+        notes.extend(self.deskewer.notes().into_iter().map(on_lidar));
+        notes.extend(self.lidar_notes(&packets).into_iter().map(on_lidar));
         if 0 < self.counts.n_poses_back {
             notes.push(NoteKind::PosesReordered { n_poses: self.counts.n_poses_back }.into());
         }
@@ -188,12 +186,13 @@ impl Assembler {
         let is_own_frame = self.options.pose.as_ref().is_some_and(|pose| {
             pose.is_own_frame() || (self.motion.has_fixes() && pose.origin.is_none())
         });
-        let mount = self.options.lidar.mount.map_or(Pose2::default(), |mount| mount.pose());
+        let base_from_lidar =
+            self.options.lidar.mount.map_or(Pose2::default(), |mount| mount.pose());
         let trajectory = match (pose, &self.options.pose) {
             (Some(topics), Some(options)) => {
                 let upside_down = self.options.lidar.upside_down;
-                let source = PoseSource { path, topics, options, mount, upside_down };
-                self.motion.trajectory(&source, &mut self.losses, &mut notes)?
+                let source = PoseSource { path, topics, options, base_from_lidar, upside_down };
+                trajectory::trajectory(self.motion, &source, &mut self.losses, &mut notes)?
             }
             _ => Trajectory::default(),
         };
@@ -258,10 +257,7 @@ impl Assembler {
                     min_hole_deg: f64::from(MIN_NOTED_HOLE_DEG),
                 },
             ),
-            (
-                0 < split.n_clock_jumps,
-                NoteKind::DeviceClockJumps { n_jumps: split.n_clock_jumps },
-            ),
+            (0 < split.n_clock_jumps, NoteKind::DeviceClockJumps { n_jumps: split.n_clock_jumps }),
             (
                 0 < split.n_stamp_steps,
                 NoteKind::StampSteps {

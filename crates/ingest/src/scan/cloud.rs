@@ -1,6 +1,6 @@
-//! A point cloud with a ring field -> the scan of one ring.
+//! Extracts the scan of one ring from a point cloud with a ring field.
 //!
-//! A cloud is what a driver made of a turn: it is taken as it is, one scan a message.
+//! A driver makes one cloud from one revolution, so each message gives one scan.
 
 use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
@@ -8,30 +8,32 @@ use std::f64::consts::{PI, TAU};
 use dataset::{FULL_RING_DEG, Scan};
 use messages::{Column, MessageError, PointCloud, Source, read_point_cloud};
 
-use crate::deskew::motion::TimedScan;
+use crate::deskew::timed_scan::TimedScan;
+use crate::error::BeamNotFound;
 use crate::options::LidarOptions;
 
-/// A ring is found by elevation where its beam is no farther from it than this \[deg\]: half a step
-/// of an HDL-32E, a little more.
+/// A beam matches a requested elevation if it differs by at most this \[deg\]. It is slightly more than
+/// half the angle between two beams of an HDL-32E.
 pub(crate) const MAX_ELEVATION_ERROR_DEG: f64 = 0.7;
-/// Points nearer than this tell no elevation \[m\]: they are of the robot.
-const NEAR_M: f64 = 0.5;
-/// A step back of up to this is jitter of the encoder, or the other return of one firing \[rad\].
+/// Nearer points are not used to measure elevations, because they can be part of the robot \[m\].
+const MIN_RANGE_M: f64 = 0.5;
+/// A backward step up to this size is encoder jitter, or the second return of a firing \[rad\].
 const JITTER_RAD: f64 = 10.0 * PI / 180.0;
-/// Points in firing order hardly ever lie so far from the next; points in no order do half of the
-/// time \[rad\].
-const WIDE_RAD: f64 = PI / 2.0;
-/// Share of such steps from which points are in no order, where there are not too few to tell.
+/// Size of a wide step \[rad\]. Points in firing order almost never have one. Points in random order
+/// have one half of the time.
+const WIDE_STEP_RAD: f64 = PI / 2.0;
+/// Points with a larger share of wide steps are not in firing order.
 const MAX_WIDE_SHARE: f64 = 0.1;
-const FEW_STEPS: usize = 20;
-/// What a sum of some thousand steps may be off by \[rad\].
+/// With fewer steps than this, points are taken to be in firing order.
+const MIN_STEPS: usize = 20;
+/// Rounding error of a sum of some thousand steps \[rad\].
 const ROUNDING_RAD: f64 = 1e-9;
 
-/// A point's time is no farther from the header's stamp than this \[ns\]: a turn takes 0.2 s at
-/// most, drivers stamp its start or its end.
+/// Maximum difference between the time of a point and the stamp in the header \[ns\]. A revolution
+/// takes at most 0.2 s, and drivers stamp its start or its end.
 const MAX_FROM_HEADER_NS: i64 = 1_000_000_000;
 
-/// The fields of a cloud that are read.
+/// The fields of a cloud that are used.
 struct Fields<'a> {
     x: Column<'a>,
     y: Column<'a>,
@@ -40,12 +42,12 @@ struct Fields<'a> {
     time: Option<Time<'a>>,
 }
 
-/// A field that tells when a point was measured.
+/// A field with the times of the points.
 struct Time<'a> {
     column: Column<'a>,
-    /// Nanoseconds in a count of it.
+    /// Unit of the field \[ns\].
     ns: f64,
-    /// Whether it counts from the epoch and not from the header's stamp.
+    /// Whether times count from the epoch, not from the stamp in the header.
     absolute: bool,
 }
 
@@ -57,8 +59,8 @@ impl<'a> Fields<'a> {
                 found: cloud.fields.iter().map(|field| field.name.clone()).collect(),
             })
         };
-        // velodyne_pointcloud: `time`, seconds from the stamp; Ouster: `t`, nanoseconds from the
-        // stamp; Hesai and Robosense: `timestamp`, seconds since the epoch.
+        // velodyne_pointcloud: `time`, seconds since the stamp. Ouster: `t`, nanoseconds since the
+        // stamp. Hesai and Robosense: `timestamp`, seconds since the epoch.
         let time = [("time", 1e9, false), ("t", 1.0, false), ("timestamp", 1e9, true)]
             .into_iter()
             .find_map(|(name, ns, absolute)| {
@@ -68,15 +70,15 @@ impl<'a> Fields<'a> {
         Ok(Self { x, y, z, ring: column("ring")?, time })
     }
 
-    /// A point that is a return: x, y \[m\] and range \[m\].
+    /// x, y and range of a point \[m\]. `None` if the point is not a return.
     fn point(&self, k: usize) -> Option<[f64; 3]> {
         let (x, y, z) = (self.x.get(k), self.y.get(k), self.z.get(k));
         let range = (x * x + y * y + z * z).sqrt();
         (range.is_finite() && 0.0 < range).then_some([x, y, range])
     }
 
-    /// When a point was measured \[ns since the epoch\]; none where its time is of another clock
-    /// than the header's, or in other units.
+    /// The time of a point \[ns since the epoch\]. `None` if it is too far from the stamp in the header,
+    /// because it comes from another clock or has another unit.
     fn stamp_ns(&self, header_ns: i64, k: usize) -> Option<i64> {
         let Some(time) = &self.time else { return Some(header_ns) };
         let ns = (time.column.get(k) * time.ns).round();
@@ -86,37 +88,37 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// Elevations of the points of each ring, of some clouds.
+/// Elevations of the points of each ring, from several clouds.
 #[derive(Debug, Default)]
 pub(crate) struct Rings {
     elevations_deg: BTreeMap<u32, Vec<f64>>,
     n_clouds: usize,
 }
 
-/// Clouds that tell the elevations of the rings.
-const CLOUDS: usize = 10;
-/// Points that tell the elevation of a ring.
-const POINTS: usize = 10_000;
+/// Number of clouds used to measure the elevations of the rings.
+const N_CLOUDS: usize = 10;
+/// Maximum number of points used to measure the elevation of a ring.
+const MAX_POINTS: usize = 10_000;
 
 impl Rings {
-    /// Whether the ring that the options ask for is among those of 10 clouds; or, where these have
-    /// no return of it, of 20, of 40 and so on.
+    /// Whether the clouds so far contain the ring that the options select. This is checked after 10, 20,
+    /// 40, ... clouds.
     pub(crate) fn is_enough(&self, options: &LidarOptions) -> bool {
-        let is_time =
-            self.n_clouds.is_multiple_of(CLOUDS) && (self.n_clouds / CLOUDS).is_power_of_two();
-        options.laser.is_some() || is_time && self.choose(options).is_ok()
+        let is_due =
+            self.n_clouds.is_multiple_of(N_CLOUDS) && (self.n_clouds / N_CLOUDS).is_power_of_two();
+        options.laser.is_some() || is_due && self.choose(options).is_ok()
     }
 
-    /// Adds a cloud's points.
+    /// Adds the points of a cloud.
     pub(crate) fn add(&mut self, source: Source, data: &[u8]) -> messages::Result<()> {
         let cloud = read_point_cloud(source, data)?;
         let fields = Fields::of(&cloud)?;
         self.n_clouds += 1;
         for k in 0..fields.ring.len() {
             let Some([x, y, range]) = fields.point(k) else { continue };
-            if NEAR_M <= range {
+            if MIN_RANGE_M <= range {
                 let of_ring = self.elevations_deg.entry(fields.ring.get(k) as u32).or_default();
-                if of_ring.len() < POINTS {
+                if of_ring.len() < MAX_POINTS {
                     let elevation = libm::atan2(fields.z.get(k), (x * x + y * y).sqrt());
                     of_ring.push(elevation.to_degrees());
                 }
@@ -130,11 +132,11 @@ impl Rings {
         self.n_clouds += other.n_clouds;
         for (ring, elevations) in other.elevations_deg {
             let of_ring = self.elevations_deg.entry(ring).or_default();
-            of_ring.extend(elevations.into_iter().take(POINTS - of_ring.len()));
+            of_ring.extend(elevations.into_iter().take(MAX_POINTS - of_ring.len()));
         }
     }
 
-    /// Rings and the elevation of their beams \[deg\], the median of their points'.
+    /// The rings and their elevations \[deg\]: the median over the points of each ring.
     pub(crate) fn medians(&self) -> Vec<(u32, f64)> {
         let median = |elevations: &Vec<f64>| {
             let mut sorted = elevations.clone();
@@ -144,27 +146,29 @@ impl Rings {
         self.elevations_deg.iter().map(|(&ring, elevations)| (ring, median(elevations))).collect()
     }
 
-    /// The ring that the options ask for, none without a cloud; the error says what was asked for and what there is.
-    pub(crate) fn choose(&self, options: &LidarOptions) -> Result<Option<u32>, (String, String)> {
+    /// The ring that the options select. `None` without clouds.
+    pub(crate) fn choose(&self, options: &LidarOptions) -> Result<Option<u32>, BeamNotFound> {
         if self.n_clouds == 0 {
             return Ok(None);
         }
         let medians = self.medians();
-        let found = || match medians.as_slice() {
-            [] => "no ring, since no point is a return".to_owned(),
-            some => {
-                let list: Vec<_> =
-                    some.iter().map(|(ring, deg)| format!("{ring} at {deg:.2} deg")).collect();
-                format!("the rings {}", list.join(", "))
-            }
+        let not_found = |requested: String| {
+            let available = match medians.as_slice() {
+                [] => "no rings, because no point is a return".to_owned(),
+                some => {
+                    let list: Vec<_> =
+                        some.iter().map(|(ring, deg)| format!("{ring} at {deg:.2} deg")).collect();
+                    format!("rings {}", list.join(", "))
+                }
+            };
+            BeamNotFound { requested, available }
         };
         if let Some(laser) = options.laser {
-            let asked = format!("laser {laser} (which counts in packets; clouds count in rings)");
-            return Err((asked, found()));
+            return Err(not_found(format!("laser {laser} (only packets have lasers)")));
         }
         if let Some(ring) = options.ring {
-            let is_there = medians.iter().any(|&(other, _)| other == ring);
-            return is_there.then_some(Some(ring)).ok_or_else(|| (format!("ring {ring}"), found()));
+            let exists = medians.iter().any(|&(other, _)| other == ring);
+            return exists.then_some(Some(ring)).ok_or_else(|| not_found(format!("ring {ring}")));
         }
         let target = options.elevation_deg.unwrap_or(0.0);
         medians
@@ -173,22 +177,23 @@ impl Rings {
             .min_by(|a, b| a.1.total_cmp(&b.1))
             .filter(|&(_, error)| error <= MAX_ELEVATION_ERROR_DEG)
             .map(|(ring, _)| Some(ring))
-            .ok_or_else(|| (format!("a beam at {target:.2} deg"), found()))
+            .ok_or_else(|| not_found(format!("beam at {target:.2} deg")))
     }
 }
 
-/// A scan, and what was wrong with its cloud.
+/// A scan, and what was irregular in its cloud.
 pub(crate) struct FromCloud {
     pub(crate) scan: TimedScan,
-    /// The points were in no order, and were sorted.
+    /// Whether the points were not in firing order and were sorted.
     pub(crate) is_sorted: bool,
-    /// Returns beyond one turn, which are left out.
+    /// Number of returns after the first revolution, which are dropped.
     pub(crate) n_beyond: u64,
-    /// The points' times are of another clock; the header's stamp was taken.
+    /// Whether the times of the points come from another clock, so that the stamp in the header was
+    /// used.
     pub(crate) is_of_other_clock: bool,
 }
 
-/// Takes the scan of one ring.
+/// Extracts the scan of one ring.
 pub(crate) fn scan(
     source: Source,
     data: &[u8],
@@ -200,7 +205,7 @@ pub(crate) fn scan(
     let ring = f64::from(ring);
     let of_ring: Vec<usize> =
         (0..fields.ring.len()).filter(|&k| fields.ring.get(k) == ring).collect();
-    // Before any choice by range: what was swept does not depend on it.
+    // The swept angle does not depend on the range limits, so they are applied later.
     let mut points: Vec<(f64, [f64; 3], usize)> = of_ring
         .iter()
         .filter_map(|&k| Some((fields.point(k)?, k)))
@@ -209,16 +214,16 @@ pub(crate) fn scan(
     let mut sweep = Sweep::of(&points.iter().map(|(azimuth, ..)| *azimuth));
     let is_sorted = !sweep.is_ordered;
     if is_sorted {
-        // Clockwise from straight ahead, as the sensor turns.
+        // Clockwise from straight ahead, as the sensor spins.
         points.sort_by(|a, b| (-a.0).rem_euclid(TAU).total_cmp(&(-b.0).rem_euclid(TAU)));
         sweep = Sweep::of(&points.iter().map(|(azimuth, ..)| *azimuth));
     }
     let mut swept = sweep.reached_rad.last().copied().unwrap_or(0.0);
     if swept.to_degrees() < f64::from(FULL_RING_DEG) {
-        // Where the turn was cut this ring had no return; another may have.
+        // If this ring has no return where the revolution starts and ends, another ring can have one.
         swept = swept.max(widest_sweep_rad(&fields));
     }
-    // A driver may put more than a turn into a cloud; a scan is one.
+    // A driver can put more than one revolution into a cloud. A scan is one revolution.
     let n_in_revolution =
         sweep.reached_rad.partition_point(|&reached| reached < TAU - ROUNDING_RAD);
     let n_beyond = points.len() - n_in_revolution;
@@ -226,7 +231,7 @@ pub(crate) fn scan(
     if n_beyond > 0 {
         swept = sweep.reached_rad[n_in_revolution - 1];
     }
-    // Compared as f32, which clouds are made of, so that a point at a limit is within it.
+    // Compare as f32, the type of the fields, so a point exactly at a limit is kept.
     let limits = options.range_min_m as f32..=options.range_max_m as f32;
     let side = if options.upside_down { -1.0 } else { 1.0 };
     points.retain(|(_, [_, _, range], _)| limits.contains(&(*range as f32)));
@@ -265,12 +270,12 @@ fn widest_sweep_rad(fields: &Fields<'_>) -> f64 {
         .fold(0.0, f64::max)
 }
 
-/// How azimuths follow each other.
+/// The order and extent of a sequence of azimuths.
 struct Sweep {
-    /// Angle from the first azimuth to each, in the direction of turning, gaps included \[rad\];
-    /// never less than the one before.
+    /// Angle from the first azimuth to each azimuth in the direction of rotation, including gaps
+    /// \[rad\]. It never decreases.
     reached_rad: Vec<f64>,
-    /// The points are in the order of firing.
+    /// Whether the points are in firing order.
     is_ordered: bool,
 }
 
@@ -283,11 +288,11 @@ impl Sweep {
         let n_left = steps.clone().filter(|step| 0.0 < *step).count();
         let n_right = steps.clone().filter(|step| *step < 0.0).count();
         let side = if n_right < n_left { 1.0 } else { -1.0 };
-        let n_wide = steps.clone().filter(|step| WIDE_RAD < step.abs()).count();
+        let n_wide = steps.clone().filter(|step| WIDE_STEP_RAD < step.abs()).count();
         let n_steps = steps.clone().count();
         let mut at = 0.0f64;
         let reached = steps.map(|step| {
-            // A gap of more than half a turn is no step back.
+            // A gap of more than half a revolution is not a backward step.
             let ahead = (side * step).rem_euclid(TAU);
             at += if TAU - JITTER_RAD < ahead { ahead - TAU } else { ahead };
             at
@@ -301,7 +306,7 @@ impl Sweep {
                     furthest
                 })
                 .collect(),
-            is_ordered: n_steps < FEW_STEPS || n_wide as f64 <= MAX_WIDE_SHARE * n_steps as f64,
+            is_ordered: n_steps < MIN_STEPS || n_wide as f64 <= MAX_WIDE_SHARE * n_steps as f64,
         }
     }
 }

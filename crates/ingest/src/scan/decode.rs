@@ -3,15 +3,15 @@
 use dataset::{Loss, LossKind, Losses, Subject};
 use messages::{MessageType, Source};
 
-use crate::deskew::motion::TimedScan;
+use crate::deskew::timed_scan::TimedScan;
 use crate::drive::topic::{FilePiece, Topic};
 use crate::drive::window::Part;
 use crate::mcap::chunk::{self, Buffer};
 use crate::options::Options;
-use crate::pose::readings::Motion;
+use crate::pose::message::undecodable;
+use crate::pose::readings::MotionReadings;
 use crate::scan::beam::Beam;
 use crate::scan::{cloud, planar};
-use crate::types::undecodable;
 use crate::velodyne::packet::Packets;
 
 /// Decodes pieces. Several threads can use it at once.
@@ -34,7 +34,7 @@ pub(crate) struct Decoded {
     pub(crate) n_sorted_clouds: u64,
     /// Number of clouds whose point times come from another clock.
     pub(crate) n_clouds_of_other_clock: u64,
-    pub(crate) motion: Motion,
+    pub(crate) motion: MotionReadings,
     /// Number of messages of the topics, readable or not.
     pub(crate) n_messages: u64,
     /// Whether a part of the piece could not be read.

@@ -1,4 +1,4 @@
-//! Messages of a lidar -> scans.
+//! Makes scans from lidar messages.
 
 pub(crate) mod assemble;
 pub(crate) mod beam;

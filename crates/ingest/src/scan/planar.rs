@@ -1,17 +1,19 @@
-//! A `LaserScan` message -> a scan.
+//! Reads a scan from a `LaserScan` message.
 
 use dataset::Scan;
 use messages::{MessageError, Source, read_laser_scan};
 
-use crate::deskew::motion::TimedScan;
+use crate::deskew::timed_scan::TimedScan;
 use crate::options::LidarOptions;
 
-/// A scan takes no longer than this \[ns\].
+/// Maximum duration of a scan \[ns\].
 const MAX_SCAN_NS: f64 = 1e9;
 
-/// Beam `i` points to `angle_min + i angle_increment`; a reading outside the message's own range
-/// limits or the options' is no return (`sensor_msgs/LaserScan`, REP 117), nor is one at the
-/// message's maximum, which older drivers give where nothing returned.
+/// Reads a scan.
+///
+/// Beam `i` points to `angle_min + i angle_increment`. A reading outside the range limits of the
+/// message or of the options is not a return (`sensor_msgs/LaserScan`, REP 117). A reading exactly at
+/// the maximum of the message is not a return either, because older drivers report it for no return.
 pub(crate) fn scan(
     source: Source,
     data: &[u8],
@@ -21,7 +23,7 @@ pub(crate) fn scan(
     if !message.angle_min.is_finite() || !message.angle_increment.is_finite() {
         return Err(MessageError::NotFinite { message: "LaserScan" });
     }
-    // Compared as the message's own f32, so that a reading at a limit is within it.
+    // Compare as f32, the type of the readings, so a reading exactly at a limit of the options is kept.
     let limits = options.range_min_m as f32..=options.range_max_m as f32;
     let own_limits = message.range_min..message.range_max;
     let increment = message.angle_increment;
@@ -32,7 +34,7 @@ pub(crate) fn scan(
             as f32,
         ..Scan::default()
     };
-    // Beams of a scanner that tells no times, or none that can be, are taken as of one moment.
+    // If the times of the beams are missing or impossible, all beams have the time of the scan.
     let beam_ns = message.time_increment_s * 1e9;
     let is_timed = 0.0 < beam_ns && beam_ns * message.ranges.len() as f64 <= MAX_SCAN_NS;
     let mut times_ns = Vec::new();
@@ -73,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn three_beams_right_ahead_left_in_both_encodings() {
+    fn both_encodings_give_the_same_three_beams() {
         let message = message(vec![1.0, 2.0, 3.0]);
         let options = LidarOptions::default();
         for encoding in [Encoding::Cdr, Encoding::Ros1] {
@@ -92,9 +94,9 @@ mod tests {
         assert!((scan.y_m[0] - 1.0).abs() < 1e-6);
     }
 
-    /// Beams 0 and 2 of 3 return, a quarter of a second apart each; times of minutes are none.
+    /// Beams 0 and 2 of 3 have returns. The beams are 0.25 s apart. An increment of 60 s is impossible.
     #[test]
-    fn beams_have_times_where_the_message_tells_them() {
+    fn returns_have_times_if_the_message_has_them() {
         for (time_increment_s, expected) in
             [(0.25, vec![0, 500_000_000]), (0.0, vec![]), (60.0, vec![]), (f64::NAN, vec![])]
         {
@@ -106,11 +108,11 @@ mod tests {
     }
 
     #[test]
-    fn no_returns_in_every_spelling_are_left_out() {
+    fn all_representations_of_no_return_are_left_out() {
         let ranges = vec![f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 0.0, 51.0, 50.0, 0.89, 0.9];
         let bytes = ros::write_laser_scan(Encoding::Cdr, "laser", &message(ranges));
         let scan = scan(source(Encoding::Cdr), &bytes, &LidarOptions::default()).unwrap().scan;
         assert_eq!(scan.len(), 1, "only 0.9 m is within both limits");
-        assert_eq!(scan.coverage_deg, 630.0, "swept, returned or not");
+        assert_eq!(scan.coverage_deg, 630.0, "the coverage counts all beams");
     }
 }

@@ -1,10 +1,13 @@
-//! A look at a whole drive: what its topics hold, how well, and what is wrong with it.
+//! Surveys a drive: reads all messages and summarizes each topic.
 
 use std::collections::BTreeMap;
 
-use dataset::{Dropped, StampedPose, Trajectory};
+use dataset::{Loss, LossKind, Losses, StampedPose, Subject, Trajectory};
 use messages::hdl32e::{self, BLOCKS, HORIZONTAL_LASER, HOUR_US, LASERS, Packet, ReturnMode};
-use messages::{MessageType, NavSatFix, Source, read_laser_scan, read_velodyne};
+use messages::{
+    MessageType, NavSatFix, Source, read_laser_scan, read_nav_sat_fix, read_transforms,
+    read_velodyne,
+};
 use rayon::prelude::*;
 
 use crate::drive::topic::{Drive, FilePiece};
@@ -12,7 +15,8 @@ use crate::drive::window::{PIECES_PER_THREAD, forget};
 use crate::mcap::chunk::{self, Buffer};
 use crate::mcap::log::{Channel, Log};
 use crate::options::LidarOptions;
-use crate::pose::{gnss, message};
+use crate::pose::gnss;
+use crate::pose::message::{stamped_pose, undecodable};
 use crate::scan::cloud::Rings;
 use crate::survey::report::{
     ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,
@@ -20,20 +24,21 @@ use crate::survey::report::{
 };
 use crate::types::{FRAME_TYPES, LIDAR_TYPES, POSE_TYPES};
 use crate::velodyne::device_clock::device_gap_us;
-use crate::velodyne::model::{self, HDL32E, Laser, PACKETS_TO_IDENTIFY};
+use crate::velodyne::model::{HDL32E, Laser, ModelEvidence, format_lasers};
 use crate::velodyne::packet::RingPacket;
 use crate::velodyne::reorder::Reorderer;
-use crate::velodyne::split::RevolutionSplitter;
+use crate::velodyne::revolution::Revolution;
+use crate::velodyne::split::{RevolutionSplitter, SplitSummary};
 
-/// Surveys a drive, one log or several that were split from one.
+/// Surveys a drive from one log, or from several logs that it was split into.
 ///
-/// `progress` is told how many bytes of the files have been read.
+/// `progress` is called with the number of bytes read so far.
 pub fn survey(logs: &[&Log], progress: impl Fn(u64)) -> Survey {
     let drive = Drive::new(logs);
     let mut survey = Survey {
         n_bytes: logs.iter().map(|log| log.bytes().len() as u64).sum(),
         time_range_ns: drive.time_range_ns(),
-        dropped: drive.dropped(),
+        losses: drive.losses(),
         ..Survey::default()
     };
     let mut topics: BTreeMap<TopicKey, Gathered> =
@@ -44,12 +49,12 @@ pub fn survey(logs: &[&Log], progress: impl Fn(u64)) -> Survey {
         .collect();
     let pieces = drive.pieces(|_, _| true);
     for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
-        let found: Vec<(BTreeMap<TopicKey, Found>, Dropped)> = window
+        let found: Vec<(BTreeMap<TopicKey, Found>, Losses)> = window
             .par_iter()
-            .map_init(Buffer::default, |buffer, piece| look(piece, &keys, buffer))
+            .map_init(Buffer::default, |buffer, piece| read(piece, &keys, buffer))
             .collect();
-        for (found, dropped) in found {
-            survey.dropped.merge(dropped);
+        for (found, losses) in found {
+            survey.losses.merge(losses);
             for (key, found) in found {
                 topics.entry(key).or_default().add(found);
             }
@@ -58,60 +63,62 @@ pub fn survey(logs: &[&Log], progress: impl Fn(u64)) -> Survey {
     }
     survey.topics = topics
         .into_iter()
-        .map(|(key, gathered)| gathered.finish(key, &mut survey.dropped))
+        .map(|(key, gathered)| gathered.finish(key, &mut survey.losses))
         .collect();
     survey
 }
 
 /// Topic, schema and encoding.
 type TopicKey = (String, String, String);
-/// The topic of each file's channels, and how its messages are read.
+/// For each file and channel: its topic, and how its messages are read.
 type Keys = BTreeMap<(usize, u16), (TopicKey, Option<Source>)>;
 
 fn key_of(channel: &Channel) -> TopicKey {
     (channel.topic.clone(), channel.schema.clone(), channel.message_encoding.clone())
 }
 
-/// What one piece holds of one topic.
+/// What one piece contains of one topic.
 #[derive(Default)]
 struct Found {
     n_messages: u64,
     source: Option<Source>,
-    /// Of the first and the last message.
+    /// Log times of the first and the last message \[ns\].
     log_times: Option<(u64, u64)>,
     packets: Vec<RingPacket>,
     return_modes: BTreeMap<u8, u64>,
-    /// Returns of each laser.
+    /// Number of returns of each laser.
     n_returns: [u64; LASERS],
+    /// Number of packets of other Velodyne models, by model name.
     foreign: BTreeMap<&'static str, u64>,
     poses: Vec<StampedPose>,
     fixes: Vec<NavSatFix>,
-    /// How often each transform is told, by parent and child.
+    /// Number of samples of each transform, by parent and child.
     transforms: BTreeMap<(String, String), u64>,
     scans: Option<ScansSurvey>,
     rings: Rings,
-    dropped: Dropped,
+    losses: Losses,
 }
 
-fn look(
+/// Reads the messages of a piece.
+fn read(
     piece: &FilePiece<'_>,
     keys: &Keys,
     buffer: &mut Buffer,
-) -> (BTreeMap<TopicKey, Found>, Dropped) {
+) -> (BTreeMap<TopicKey, Found>, Losses) {
     let mut found: BTreeMap<TopicKey, Found> = BTreeMap::new();
-    let mut strays = Dropped::default();
-    let lost = chunk::messages(piece.log.bytes(), piece.piece, buffer, |header, data| {
+    let mut n_undefined = 0;
+    let mut losses = chunk::messages(piece.log.bytes(), piece.piece, buffer, |header, data| {
         let time = header.log_time;
         match keys.get(&(piece.file, header.channel_id)) {
             Some((key, source)) => match found.get_mut(key) {
                 Some(found) => found.add(&key.0, *source, time, data),
                 None => found.entry(key.clone()).or_default().add(&key.0, *source, time, data),
             },
-            None => strays.add("messages of channels that the log does not define", 1),
+            None => n_undefined += 1,
         }
     });
-    strays.merge(lost);
-    (found, strays)
+    losses.add(LossKind::UndefinedChannel, n_undefined);
+    (found, losses)
 }
 
 impl Found {
@@ -121,48 +128,43 @@ impl Found {
         self.log_times = Some((first.min(time), last.max(time)));
         let Some(source) = source else { return };
         self.source = Some(source);
-        let result = match source.message_type {
+        if let Err(kind) = self.add_content(source, data) {
+            self.losses.add(Loss::new(kind, Subject::topic(topic)), 1);
+        }
+    }
+
+    fn add_content(&mut self, source: Source, data: &[u8]) -> Result<(), LossKind> {
+        let undecodable = |error| undecodable(source, &error);
+        match source.message_type {
             MessageType::VelodyneScan | MessageType::VelodynePacket => {
-                self.add_packets(source, data)
+                self.add_packets(source, data).map_err(undecodable)?;
             }
-            MessageType::LaserScan | MessageType::FoxgloveLaserScan => self.add_scan(source, data),
-            // One of each piece tells the rings.
-            MessageType::PointCloud2 | MessageType::FoxglovePointCloud => match self.n_messages {
-                1 => self.rings.add(source, data),
-                _ => Ok(()),
-            },
+            MessageType::LaserScan | MessageType::FoxgloveLaserScan => {
+                self.add_scan(source, data).map_err(undecodable)?;
+            }
+            MessageType::PointCloud2 | MessageType::FoxglovePointCloud => {
+                // One cloud per piece is enough to find the rings.
+                if self.n_messages == 1 {
+                    self.rings.add(source, data).map_err(undecodable)?;
+                }
+            }
             MessageType::Tf | MessageType::FoxgloveFrameTransform => {
-                messages::read_transforms(source, data).map(|transforms| {
-                    for transform in transforms {
-                        let names = (transform.parent, transform.child);
-                        *self.transforms.entry(names).or_default() += 1;
-                    }
-                })
+                for transform in read_transforms(source, data).map_err(undecodable)? {
+                    let names = (transform.parent, transform.child);
+                    *self.transforms.entry(names).or_default() += 1;
+                }
             }
             MessageType::NavSatFix => {
-                messages::read_nav_sat_fix(source, data).map(|fix| match gnss::check(&fix) {
-                    Ok(()) => self.fixes.push(fix),
-                    Err(reason) => self.dropped.add(format!("messages of {topic} {reason}"), 1),
-                })
+                let fix = read_nav_sat_fix(source, data).map_err(undecodable)?;
+                gnss::check(&fix)?;
+                self.fixes.push(fix);
             }
-            other if POSE_TYPES.contains(&other) => match message::stamped_pose(source, data) {
-                Ok(pose) => {
-                    self.poses.push(pose);
-                    Ok(())
-                }
-                Err(reason) => {
-                    self.dropped.add(format!("messages of {topic} {reason}"), 1);
-                    Ok(())
-                }
-            },
-            _ => Ok(()),
-        };
-        if let Err(error) = result {
-            let kind = source.message_type.name();
-            let reason =
-                format!("messages of {topic} that do not decode as {kind} ({})", error.kind());
-            self.dropped.add(reason, 1);
+            other if POSE_TYPES.contains(&other) => {
+                self.poses.push(stamped_pose(source, data)?);
+            }
+            _ => {}
         }
+        Ok(())
     }
 
     fn add_packets(&mut self, source: Source, data: &[u8]) -> messages::Result<()> {
@@ -170,21 +172,16 @@ impl Found {
             let Ok(packet) = Packet::new(bytes) else {
                 match hdl32e::foreign_layout(bytes) {
                     Some(model) => *self.foreign.entry(model).or_default() += 1,
-                    None => {
-                        let reason = "packets without the layout of an HDL-32E data packet";
-                        self.dropped.add(reason, 1);
-                    }
+                    None => self.losses.add(LossKind::MalformedPackets, 1),
                 }
                 continue;
             };
             self.packets.push(RingPacket::new(end_ns, &packet, HORIZONTAL_LASER));
-            *self
-                .return_modes
-                .entry(packet.return_mode().map_or(0, ReturnMode::byte))
-                .or_default() += 1;
+            let mode = packet.return_mode().map_or(0, ReturnMode::byte);
+            *self.return_modes.entry(mode).or_default() += 1;
             for (laser, n) in self.n_returns.iter_mut().enumerate() {
-                *n +=
-                    (0..BLOCKS).filter(|&block| packet.distance(block, laser) != 0).count() as u64;
+                let has_return = |&block: &usize| packet.distance(block, laser) != 0;
+                *n += (0..BLOCKS).filter(has_return).count() as u64;
             }
         }
         Ok(())
@@ -203,105 +200,54 @@ impl Found {
         of_scans.coverage_deg = of_scans.coverage_deg.max(coverage_deg);
         Ok(())
     }
-}
 
-/// What all pieces hold of one topic.
-#[derive(Default)]
-struct Gathered {
-    found: Found,
-    packets: Option<PacketsOfTopic>,
-}
-
-/// Packets, put in order and cut into turns, but not kept.
-struct PacketsOfTopic {
-    n_packets: u64,
-    first: Vec<RingPacket>,
-    reorderer: Reorderer,
-    splitter: RevolutionSplitter,
-    revolution_stamps_ns: Vec<i64>,
-    still: bool,
-    /// Least of stamps minus device clock, past the hour \[s\].
-    offset_s: f64,
-}
-
-/// A device clock this near to the host's is on time \[s\]: GPS receivers and hosts on NTP agree
-/// better; a free-running clock comes this near by chance once in 900 times.
-const ON_TIME_S: f64 = 2.0;
-
-impl PacketsOfTopic {
-    fn new() -> Self {
-        Self {
-            n_packets: 0,
-            first: Vec::new(),
-            reorderer: Reorderer::default(),
-            splitter: RevolutionSplitter::new(&LidarOptions::default(), Laser::HORIZONTAL),
-            revolution_stamps_ns: Vec::new(),
-            still: true,
-            offset_s: f64::INFINITY,
-        }
-    }
-
-    fn push(&mut self, packet: &RingPacket) {
-        self.n_packets += 1;
-        if let Some(first) = self.first.first() {
-            self.still &= device_gap_us(first, packet) == 0.0;
-        }
-        if self.first.len() < PACKETS_TO_IDENTIFY {
-            self.first.push(*packet);
-        }
-        if packet.end_ns != 0 {
-            self.offset_s = self.offset_s.min(offset_s(packet));
-        }
-        let mut revolutions = Vec::new();
-        self.reorderer.push(packet, |packet| self.splitter.push(packet, &mut revolutions));
-        self.revolution_stamps_ns.extend(revolutions.iter().map(|revolution| revolution.stamp_ns));
-    }
-}
-
-/// Stamp less device clock, past the hour; of the two ways around the shorter \[s\].
-fn offset_s(packet: &RingPacket) -> f64 {
-    let hour_s = f64::from(HOUR_US) * 1e-6;
-    let host_s = packet.end_ns.rem_euclid(i64::from(HOUR_US) * 1000) as f64 * 1e-9;
-    let offset_s = (host_s - f64::from(packet.device_us) * 1e-6).rem_euclid(hour_s);
-    if hour_s / 2.0 < offset_s { offset_s - hour_s } else { offset_s }
-}
-
-impl Gathered {
-    fn add(&mut self, found: Found) {
-        let all = &mut self.found;
-        all.n_messages += found.n_messages;
-        all.source = all.source.or(found.source);
-        all.log_times = match (all.log_times, found.log_times) {
+    /// Adds what another piece contains of the topic, except its packets.
+    fn merge(&mut self, other: Self) {
+        self.n_messages += other.n_messages;
+        self.source = self.source.or(other.source);
+        self.log_times = match (self.log_times, other.log_times) {
             (Some((a, b)), Some((c, d))) => Some((a.min(c), b.max(d))),
             (one, other) => one.or(other),
         };
-        for (mode, n) in found.return_modes {
-            *all.return_modes.entry(mode).or_default() += n;
+        for (mode, n) in other.return_modes {
+            *self.return_modes.entry(mode).or_default() += n;
         }
-        all.n_returns.iter_mut().zip(found.n_returns).for_each(|(a, b)| *a += b);
-        for (model, n) in found.foreign {
-            *all.foreign.entry(model).or_default() += n;
+        self.n_returns.iter_mut().zip(other.n_returns).for_each(|(a, b)| *a += b);
+        for (model, n) in other.foreign {
+            *self.foreign.entry(model).or_default() += n;
         }
-        all.poses.extend(found.poses);
-        all.fixes.extend(found.fixes);
-        for (names, n) in found.transforms {
-            *all.transforms.entry(names).or_default() += n;
+        self.poses.extend(other.poses);
+        self.fixes.extend(other.fixes);
+        for (names, n) in other.transforms {
+            *self.transforms.entry(names).or_default() += n;
         }
-        if let Some(scans) = found.scans {
-            let merged = all.scans.get_or_insert_with(|| scans.clone());
+        if let Some(scans) = other.scans {
+            let merged = self.scans.get_or_insert_with(|| scans.clone());
             merged.n_beams =
                 (merged.n_beams.0.min(scans.n_beams.0), merged.n_beams.1.max(scans.n_beams.1));
             merged.coverage_deg = merged.coverage_deg.max(scans.coverage_deg);
         }
-        all.rings.merge(found.rings);
-        all.dropped.merge(found.dropped);
-        for packet in &found.packets {
-            self.packets.get_or_insert_with(PacketsOfTopic::new).push(packet);
+        self.rings.merge(other.rings);
+        self.losses.merge(other.losses);
+    }
+}
+
+/// What all pieces contain of one topic.
+#[derive(Default)]
+struct Gathered {
+    found: Found,
+    packets: Option<PacketCounts>,
+}
+
+impl Gathered {
+    fn add(&mut self, mut found: Found) {
+        for packet in std::mem::take(&mut found.packets) {
+            self.packets.get_or_insert_with(PacketCounts::new).push(&packet);
         }
+        self.found.merge(found);
     }
 
-    fn finish(mut self, (topic, schema, encoding): TopicKey, dropped: &mut Dropped) -> TopicSurvey {
-        dropped.merge(std::mem::take(&mut self.found.dropped));
+    fn finish(mut self, (topic, schema, encoding): TopicKey, losses: &mut Losses) -> TopicSurvey {
         let n_messages = self.found.n_messages;
         let rate_hz = self.found.log_times.and_then(|(first, last)| {
             (first < last && n_messages > 1)
@@ -309,93 +255,171 @@ impl Gathered {
         });
         let source = Source::new(&schema, &encoding).or(self.found.source);
         let message_type = source.map(|source| source.message_type);
-        let content = match message_type {
-            Some(MessageType::VelodyneScan | MessageType::VelodynePacket) => {
-                self.packets_survey(dropped).map_or(Content::Other, Content::Packets)
-            }
-            Some(MessageType::PointCloud2 | MessageType::FoxglovePointCloud) => {
-                Content::Clouds(CloudsSurvey { rings: self.found.rings.medians() })
-            }
-            Some(lidar) if LIDAR_TYPES.contains(&lidar) => {
-                self.found.scans.map_or(Content::Other, Content::Scans)
-            }
-            Some(pose) if POSE_TYPES.contains(&pose) => {
-                if let Some(first) = self.found.fixes.first() {
-                    self.found.poses = gnss::poses(&self.found.fixes, &gnss::origin(first));
-                }
-                let (trajectory, n_duplicates) = Trajectory::new(self.found.poses);
-                let reason = format!("poses of {topic} with the stamp of another pose");
-                dropped.add(reason, n_duplicates as u64);
-                Content::Poses(poses_survey(&trajectory))
-            }
-            Some(tf) if FRAME_TYPES.contains(&tf) => {
-                let told =
-                    |((parent, child), n_samples)| TransformSurvey { parent, child, n_samples };
-                Content::Transforms(self.found.transforms.into_iter().map(told).collect())
-            }
-            _ => Content::Other,
-        };
+        let content = self.content(message_type);
+        losses.merge(self.found.losses.on_topic(&topic));
         TopicSurvey { topic, schema, encoding, n_messages, rate_hz, content }
     }
 
-    fn packets_survey(&mut self, dropped: &mut Dropped) -> Option<PacketsSurvey> {
-        let foreign = self.found.foreign.iter().max_by_key(|(_, n)| **n);
-        let Some(mut packets) = self.packets.take() else {
-            let (model, &n) = foreign?;
-            return Some(PacketsSurvey::of_another(format!("Velodyne {model}"), n));
-        };
-        if let Some(other) = model::other_sensor(&packets.first) {
-            let name = format!("Velodyne {} ({})", other.name, other.evidence);
-            return Some(PacketsSurvey::of_another(name, packets.n_packets));
+    /// Summarizes the messages. Takes the poses, transforms and scans.
+    fn content(&mut self, message_type: Option<MessageType>) -> Content {
+        let found = &mut self.found;
+        match message_type {
+            Some(MessageType::VelodyneScan | MessageType::VelodynePacket) => {
+                let packets = self.packets.take();
+                packets_survey(packets, found).map_or(Content::Other, Content::Packets)
+            }
+            Some(MessageType::PointCloud2 | MessageType::FoxglovePointCloud) => {
+                Content::Clouds(CloudsSurvey { rings: found.rings.medians() })
+            }
+            Some(lidar) if LIDAR_TYPES.contains(&lidar) => {
+                found.scans.take().map_or(Content::Other, Content::Scans)
+            }
+            Some(pose) if POSE_TYPES.contains(&pose) => {
+                if let Some(first) = found.fixes.first() {
+                    found.poses = gnss::poses(&found.fixes, &gnss::origin(first));
+                }
+                let (trajectory, n_duplicates) = Trajectory::new(std::mem::take(&mut found.poses));
+                found.losses.add(LossKind::DuplicatePoseStamps, n_duplicates as u64);
+                Content::Poses(poses_survey(&trajectory))
+            }
+            Some(tf) if FRAME_TYPES.contains(&tf) => {
+                let transforms = std::mem::take(&mut found.transforms).into_iter();
+                let survey =
+                    |((parent, child), n_samples)| TransformSurvey { parent, child, n_samples };
+                Content::Transforms(transforms.map(survey).collect())
+            }
+            _ => Content::Other,
+        }
+    }
+}
+
+/// A device clock with a smaller offset agrees with the host clock \[s\]. GPS receivers and hosts with
+/// NTP agree better. A free-running clock is that close by chance once in 900 times.
+const ON_TIME_S: f64 = 2.0;
+
+/// Packets that are reordered and split into revolutions, but not kept.
+struct PacketCounts {
+    n_packets: u64,
+    model: ModelEvidence,
+    first: Option<RingPacket>,
+    reorderer: Reorderer,
+    splitter: RevolutionSplitter,
+    revolution_stamps_ns: Vec<i64>,
+    stands_still: bool,
+    /// The least of stamp minus device clock, past the hour \[s\].
+    offset_s: f64,
+}
+
+impl PacketCounts {
+    fn new() -> Self {
+        Self {
+            n_packets: 0,
+            model: ModelEvidence::default(),
+            first: None,
+            reorderer: Reorderer::default(),
+            splitter: RevolutionSplitter::new(&LidarOptions::default(), Laser::HORIZONTAL),
+            revolution_stamps_ns: Vec::new(),
+            stands_still: true,
+            offset_s: f64::INFINITY,
+        }
+    }
+
+    fn push(&mut self, packet: &RingPacket) {
+        self.n_packets += 1;
+        self.model.add_packet(packet);
+        let first = self.first.get_or_insert(*packet);
+        self.stands_still &= device_gap_us(first, packet) == 0.0;
+        if packet.end_ns != 0 {
+            self.offset_s = self.offset_s.min(offset_s(packet));
         }
         let mut revolutions = Vec::new();
-        packets.reorderer.flush(&mut |packet| packets.splitter.push(packet, &mut revolutions));
-        let ends = packets.splitter.finish(&mut revolutions);
-        packets
-            .revolution_stamps_ns
-            .extend(revolutions.iter().map(|revolution| revolution.stamp_ns));
-        dropped.merge(packets.reorderer.dropped);
-        dropped.merge(ends.dropped);
-        for (model, &n) in &self.found.foreign {
-            dropped.add(format!("packets of a Velodyne {model}"), n);
-        }
-        let stamps = &packets.revolution_stamps_ns;
+        self.reorderer.push(packet, |packet| self.splitter.push(packet, &mut revolutions));
+        self.add_revolutions(&revolutions);
+    }
+
+    fn add_revolutions(&mut self, revolutions: &[Revolution]) {
+        self.revolution_stamps_ns.extend(revolutions.iter().map(|r| r.stamp_ns));
+    }
+
+    /// Ends the last revolution.
+    fn finish(&mut self) -> SplitSummary {
+        let mut revolutions = Vec::new();
+        self.reorderer.flush(&mut |packet| self.splitter.push(packet, &mut revolutions));
+        let summary = self.splitter.finish(&mut revolutions);
+        self.add_revolutions(&revolutions);
+        summary
+    }
+
+    /// Median rotation rate \[Hz\].
+    fn spin_hz(&self) -> Option<f64> {
+        let stamps = &self.revolution_stamps_ns;
         let mut periods: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
         periods.sort_unstable();
         let period_ns = periods.get(periods.len() / 2).copied().filter(|&ns| ns > 0);
-        let n_blocks = packets.n_packets as f64 * BLOCKS as f64;
-        let dead = (0..LASERS).filter(|&laser| self.found.n_returns[laser] == 0);
-        let mode = self.found.return_modes.iter().max_by_key(|(_, n)| **n).map(|(mode, _)| *mode);
-        let (n_stamp_steps, largest_stamp_step_s) = packets.splitter.stamp_steps();
-        Some(PacketsSurvey {
-            sensor: format!("Velodyne {HDL32E}"),
-            is_hdl32e: true,
-            return_mode: [
-                (ReturnMode::Strongest, "strongest"),
-                (ReturnMode::Last, "last"),
-                (ReturnMode::Dual, "dual"),
-            ]
-            .into_iter()
-            .find_map(|(known, name)| (Some(known.byte()) == mode).then_some(name)),
-            n_packets: packets.n_packets,
-            n_missing: ends.n_missing_packets,
-            n_late: packets.reorderer.n_late,
-            n_same_stamp: ends.n_same_stamp,
-            n_stamp_steps,
-            largest_stamp_step_s,
-            n_revolutions: stamps.len(),
-            spin_hz: period_ns.map(|ns| 1e9 / ns as f64),
-            return_share: self.found.n_returns.iter().map(|&n| n as f64 / n_blocks).collect(),
-            dead_lasers: model::lasers(dead.fold(0, |mask, laser| mask | 1 << laser)),
-            clock: match packets.still {
-                true => ClockSurvey::Still,
-                false if packets.offset_s.abs() < ON_TIME_S => {
-                    ClockSurvey::OnTime { offset_s: packets.offset_s }
-                }
-                false => ClockSurvey::FreeRunning { offset_s: packets.offset_s },
-            },
-        })
+        period_ns.map(|ns| 1e9 / ns as f64)
     }
+
+    fn clock(&self) -> ClockSurvey {
+        match self.stands_still {
+            true => ClockSurvey::Still,
+            false if self.offset_s.abs() < ON_TIME_S => {
+                ClockSurvey::OnTime { offset_s: self.offset_s }
+            }
+            false => ClockSurvey::FreeRunning { offset_s: self.offset_s },
+        }
+    }
+}
+
+/// Stamp minus device clock, past the hour \[s\]: the shorter way around the hour.
+fn offset_s(packet: &RingPacket) -> f64 {
+    let hour_s = f64::from(HOUR_US) * 1e-6;
+    let host_s = packet.end_ns.rem_euclid(i64::from(HOUR_US) * 1000) as f64 * 1e-9;
+    let offset_s = (host_s - f64::from(packet.device_us) * 1e-6).rem_euclid(hour_s);
+    if hour_s / 2.0 < offset_s { offset_s - hour_s } else { offset_s }
+}
+
+/// Summarizes packets, and adds the losses to `found`. `None` without packets.
+fn packets_survey(packets: Option<PacketCounts>, found: &mut Found) -> Option<PacketsSurvey> {
+    let Some(mut packets) = packets else {
+        let (model, &n) = found.foreign.iter().max_by_key(|(_, n)| **n)?;
+        return Some(PacketsSurvey::of_other_sensor(format!("Velodyne {model}"), n));
+    };
+    if let Some(other) = packets.model.other_sensor() {
+        let name = format!("Velodyne {} ({})", other.name, other.evidence);
+        return Some(PacketsSurvey::of_other_sensor(name, packets.n_packets));
+    }
+    let split = packets.finish();
+    for (model, &n) in &found.foreign {
+        let model = (*model).to_owned();
+        found.losses.add(LossKind::PacketsOfOtherModel { model }, n);
+    }
+    found.losses.merge(packets.reorderer.losses.clone());
+    found.losses.merge(split.losses);
+    let n_firings = packets.n_packets as f64 * BLOCKS as f64;
+    let dead = (0..LASERS).filter(|&laser| found.n_returns[laser] == 0);
+    let mode = found.return_modes.iter().max_by_key(|(_, n)| **n).map(|(mode, _)| *mode);
+    Some(PacketsSurvey {
+        sensor: format!("Velodyne {HDL32E}"),
+        is_hdl32e: true,
+        return_mode: [
+            (ReturnMode::Strongest, "strongest"),
+            (ReturnMode::Last, "last"),
+            (ReturnMode::Dual, "dual"),
+        ]
+        .into_iter()
+        .find_map(|(known, name)| (Some(known.byte()) == mode).then_some(name)),
+        n_packets: packets.n_packets,
+        n_missing: split.n_missing_packets,
+        n_late: packets.reorderer.n_late,
+        n_same_stamp: split.n_same_stamp,
+        n_stamp_steps: split.n_stamp_steps,
+        largest_stamp_step_s: split.largest_stamp_step_s,
+        n_revolutions: packets.revolution_stamps_ns.len(),
+        spin_hz: packets.spin_hz(),
+        return_share: found.n_returns.iter().map(|&n| n as f64 / n_firings).collect(),
+        dead_lasers: format_lasers(dead.fold(0, |mask, laser| mask | 1 << laser)),
+        clock: packets.clock(),
+    })
 }
 
 fn poses_survey(trajectory: &Trajectory) -> PosesSurvey {

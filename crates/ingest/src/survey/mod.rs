@@ -1,4 +1,4 @@
-//! A summary of a whole drive: what its topics contain, and what is wrong with them.
+//! Summarizes a drive: the content of its topics, and the damage.
 
 pub(crate) mod gather;
 pub(crate) mod report;

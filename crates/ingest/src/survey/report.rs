@@ -1,47 +1,47 @@
-//! What a survey of a drive finds.
+//! The result of a survey.
 
-use dataset::Dropped;
+use dataset::Losses;
 use messages::hdl32e::{self, HORIZONTAL_LASER, LASERS};
 use serde::Serialize;
 
-/// What a drive holds.
+/// The content of a drive.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Survey {
-    /// Size of its files.
+    /// Total size of the files \[bytes\].
     pub n_bytes: u64,
     /// Log time of the first and the last message \[ns since the epoch\].
     pub time_range_ns: Option<(u64, u64)>,
-    /// Its topics, by name; one that several channels of different types carry is there as often.
+    /// The topics, by name. A topic with channels of several types has one entry for each type.
     pub topics: Vec<TopicSurvey>,
-    /// What is broken, by reason.
-    pub dropped: Dropped,
+    /// Data that cannot be used.
+    pub losses: Losses,
 }
 
 impl Survey {
-    /// From the first message to the last \[s\].
+    /// Time from the first message to the last \[s\].
     pub fn duration_s(&self) -> f64 {
         self.time_range_ns.map_or(0.0, |(first, last)| last.saturating_sub(first) as f64 * 1e-9)
     }
 }
 
-/// What a topic holds.
+/// The content of a topic.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TopicSurvey {
     /// The topic.
     pub topic: String,
-    /// Name of the schema; empty where there is none.
+    /// Name of the schema, empty if there is none.
     pub schema: String,
     /// Message encoding.
     pub encoding: String,
-    /// Number of messages that could be read.
+    /// Number of messages.
     pub n_messages: u64,
-    /// Messages a second, between its first and its last \[Hz\].
+    /// Mean message rate \[Hz\].
     pub rate_hz: Option<f64>,
-    /// What its messages say.
+    /// Summary of the messages.
     pub content: Content,
 }
 
-/// What the messages of a topic say.
+/// Summary of the messages of a topic.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Content {
@@ -53,7 +53,7 @@ pub enum Content {
     Clouds(CloudsSurvey),
     /// Poses.
     Poses(PosesSurvey),
-    /// Transforms between frames, in order of their names.
+    /// Transforms between frames, in order of the frame names.
     Transforms(Vec<TransformSurvey>),
     /// Anything else.
     Other,
@@ -62,39 +62,39 @@ pub enum Content {
 /// Packets of a Velodyne.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PacketsSurvey {
-    /// The sensor, by name.
+    /// Name of the sensor.
     pub sensor: String,
-    /// Whether it is the one whose packets are read; of another, only their number is known.
+    /// Whether the sensor is supported. For other sensors, only the number of packets is known.
     pub is_hdl32e: bool,
-    /// What each firing returns, where the packets say so.
+    /// Return mode, if the packets contain it.
     pub return_mode: Option<&'static str>,
-    /// Packets there are.
+    /// Number of packets.
     pub n_packets: u64,
-    /// Packets that are missing between them.
+    /// Number of missing packets.
     pub n_missing: u64,
-    /// Packets that came late; they are put in order.
+    /// Number of late packets. They are put back in order.
     pub n_late: u64,
-    /// Packets with the very stamp of the one before, of a device whose clock goes on: the stamp is
-    /// that of a message.
+    /// Number of packets with the same stamp as the packet before, although the device clock advanced.
+    /// All packets of a message share one stamp then.
     pub n_same_stamp: u64,
-    /// Steps of the stamps against the device clock.
+    /// Number of steps of the stamps against the device clock.
     pub n_stamp_steps: u64,
-    /// The largest of them \[s\].
+    /// The largest step \[s\].
     pub largest_stamp_step_s: f64,
-    /// Whole turns.
+    /// Number of complete revolutions.
     pub n_revolutions: usize,
-    /// Turns a second, median \[Hz\].
+    /// Median rotation rate \[Hz\].
     pub spin_hz: Option<f64>,
-    /// Share of its firings from which each laser has a return, in firing order, `(32,)`.
+    /// Share of the firings with a return, for each laser in firing order, `(32,)`.
     pub return_share: Vec<f64>,
-    /// Lasers without any, in firing order, as "3, 11-13".
+    /// Lasers without any return, in firing order, such as "3, 11-13".
     pub dead_lasers: String,
-    /// The device clock against the stamps.
+    /// The device clock compared with the stamps.
     pub clock: ClockSurvey,
 }
 
 impl PacketsSurvey {
-    pub(crate) fn of_another(sensor: String, n_packets: u64) -> Self {
+    pub(crate) fn of_other_sensor(sensor: String, n_packets: u64) -> Self {
         Self {
             sensor,
             is_hdl32e: false,
@@ -113,12 +113,12 @@ impl PacketsSurvey {
         }
     }
 
-    /// Whether the packets of a message have one stamp, so that the device clock tells time better.
+    /// Whether the packets of a message share one stamp, so that the device clock is more precise.
     pub fn is_stamped_by_message(&self) -> bool {
         self.n_packets < 2 * self.n_same_stamp
     }
 
-    /// The laser with returns that is nearest to the horizontal one, where that has none.
+    /// If the horizontal laser has no returns: the laser with returns that is nearest to it.
     pub fn stand_in(&self) -> Option<usize> {
         let has_returns = |laser: &usize| self.return_share.get(*laser).is_some_and(|&s| s > 0.0);
         if has_returns(&HORIZONTAL_LASER) {
@@ -129,18 +129,18 @@ impl PacketsSurvey {
     }
 }
 
-/// The device clock against the stamps.
+/// The device clock compared with the stamps.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ClockSurvey {
-    /// It stands still.
+    /// The device clock stands still.
     Still,
-    /// It shows the host's time past the hour, but for some seconds \[s\].
+    /// The device clock agrees with the host clock to within 2 s.
     OnTime {
         /// Stamps minus device clock \[s\].
         offset_s: f64,
     },
-    /// It shows a time of its own.
+    /// The device clock is not related to the host clock.
     FreeRunning {
         /// Stamps minus device clock, past the hour \[s\].
         offset_s: f64,
@@ -150,39 +150,39 @@ pub enum ClockSurvey {
 /// Planar scans.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct ScansSurvey {
-    /// Beams of a scan, fewest and most.
+    /// Minimum and maximum number of beams.
     pub n_beams: (usize, usize),
-    /// Angle swept \[deg\].
+    /// Angle covered by the beams \[deg\].
     pub coverage_deg: f64,
-    /// Nearest and farthest range that the messages themselves take for returns \[m\].
+    /// Minimum and maximum range in the messages \[m\].
     pub range_m: (f32, f32),
 }
 
 /// Point clouds.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct CloudsSurvey {
-    /// Rings and the elevation of their beams \[deg\], of the first clouds.
+    /// The rings and their elevations \[deg\].
     pub rings: Vec<(u32, f64)>,
 }
 
 /// Poses.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct PosesSurvey {
-    /// Length of the path through them \[m\].
+    /// Path length \[m\].
     pub path_m: f64,
-    /// Longest time between two of them \[s\].
+    /// Longest time between two poses \[s\].
     pub widest_gap_s: f64,
     /// Extent along x and y \[m\].
     pub extent_m: (f64, f64),
 }
 
-/// What a topic tells of one transform.
+/// One transform of a topic.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TransformSurvey {
-    /// The frame in which the child is placed.
+    /// The parent frame.
     pub parent: String,
-    /// The frame that is placed.
+    /// The child frame.
     pub child: String,
-    /// How often it is told.
+    /// Number of samples.
     pub n_samples: u64,
 }

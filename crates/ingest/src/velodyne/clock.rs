@@ -234,6 +234,9 @@ mod tests {
             assert_eq!(stamp - 552_960 + 200_000_000, packet.end_ns);
         }
         packets.iter_mut().for_each(|packet| packet.end_ns += 600_000_000_000);
-        assert!(stamps(Clock::Gps, &packets).is_empty(), "a free-running clock is off by 10 minutes");
+        assert!(
+            stamps(Clock::Gps, &packets).is_empty(),
+            "a free-running clock is off by 10 minutes"
+        );
     }
 }

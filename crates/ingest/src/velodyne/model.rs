@@ -164,7 +164,7 @@ impl Laser {
                 let nearest = Self::nearest(deg);
                 match (nearest.elevation_deg - deg).abs() <= MAX_ELEVATION_ERROR_DEG {
                     true => Ok(nearest),
-                    false => Err(not_found(format!("a beam at {deg} deg"))),
+                    false => Err(not_found(format!("beam at {deg} deg"))),
                 }
             }
             _ => Ok(Self::HORIZONTAL),

@@ -228,7 +228,8 @@ mod tests {
     #[test]
     fn the_fast_path_accepts_ordinary_packets() {
         let packets = crate::velodyne::packet::tests::packets(400, 100, 20);
-        let n_fast = packets.windows(2).filter(|pair| adjacent_step(&pair[0], &pair[1]) == Some(20));
+        let n_fast =
+            packets.windows(2).filter(|pair| adjacent_step(&pair[0], &pair[1]) == Some(20));
         // One device-clock wrap, and the azimuth wraps within or between a few packets.
         assert!(390 < n_fast.count());
     }

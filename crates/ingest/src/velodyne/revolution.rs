@@ -6,7 +6,7 @@ use std::sync::LazyLock;
 use dataset::{RangeLimits, Scan};
 use messages::hdl32e::{AZIMUTH_COUNTS, BLOCK_PERIOD_NS, METRES_PER_COUNT, PERIODS_PER_BLOCK};
 
-use crate::deskew::motion::Smear;
+use crate::deskew::motion::ScanMotion;
 use crate::options::LidarOptions;
 use crate::velodyne::model::Laser;
 
@@ -131,7 +131,7 @@ impl ScanBuilder {
     ///
     /// If the motion during the revolution is given, each return is moved to the lidar frame at the
     /// stamp of the scan.
-    pub(crate) fn scan(&self, revolution: &Revolution, smear: Option<&Smear>) -> Scan {
+    pub(crate) fn scan(&self, revolution: &Revolution, motion: Option<&ScanMotion>) -> Scan {
         let n_returns = revolution.firings.iter().filter(|firing| firing.distance != 0).count();
         let mut scan = Scan {
             stamp_ns: revolution.stamp_ns,
@@ -144,12 +144,12 @@ impl ScanBuilder {
             let range_m = f64::from(firing.distance) * METRES_PER_COUNT;
             if firing.distance != 0 && self.limits.contains(range_m) {
                 let planar_m = range_m * self.horizontal;
-                let [x_m, y_m] = match smear {
+                let [x_m, y_m] = match motion {
                     None => {
                         let [cos, sin] = self.direction(firing.fine_azimuth);
                         [planar_m * cos, self.side * planar_m * sin]
                     }
-                    Some(smear) => self.deskewed(firing, planar_m, smear),
+                    Some(motion) => self.deskewed(firing, planar_m, motion),
                 };
                 scan.x_m.push(x_m as f32);
                 scan.y_m.push(y_m as f32);
@@ -160,8 +160,8 @@ impl ScanBuilder {
 
     /// Position of a return in the lidar frame at the stamp of the scan. If the lidar has rotated
     /// left by h since the stamp, the return lies h farther left.
-    fn deskewed(&self, firing: &Firing, planar_m: f64, smear: &Smear) -> [f64; 2] {
-        let [dx, dy, heading] = smear.at(i64::from(firing.slot) * BLOCK_PERIOD_NS);
+    fn deskewed(&self, firing: &Firing, planar_m: f64, motion: &ScanMotion) -> [f64; 2] {
+        let [dx, dy, heading] = motion.at(i64::from(firing.slot) * BLOCK_PERIOD_NS);
         let rotation = self.side * heading * (f64::from(FINE_PER_REVOLUTION) / TAU);
         let mut fine = f64::from(firing.fine_azimuth) + rotation;
         let revolution = f64::from(FINE_PER_REVOLUTION);
@@ -250,7 +250,11 @@ mod tests {
         ];
         let revolution = Revolution { firings, ..Revolution::default() };
         let scan = ScanBuilder::new(&options, Laser::new(1)).scan(&revolution, None);
-        assert_eq!(scan.len(), 1, "the range of 10.002 m is over the limit, although its projection is not");
+        assert_eq!(
+            scan.len(),
+            1,
+            "the range of 10.002 m is over the limit, although its projection is not"
+        );
         assert!((scan.x_m[0] - 9.867_62).abs() < 1e-5);
     }
 }

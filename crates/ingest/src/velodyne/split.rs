@@ -391,10 +391,7 @@ mod tests {
         // and both revolutions between. The log ends at 2510 deg.
         packets.drain(200..650);
         let (revolutions, summary) = split(&packets);
-        assert_eq!(
-            losses(&summary),
-            [("missing_revolutions", 2), ("incomplete_revolutions", 2)]
-        );
+        assert_eq!(losses(&summary), [("missing_revolutions", 2), ("incomplete_revolutions", 2)]);
         assert_eq!((revolutions.len(), summary.n_partial, summary.n_missing_packets), (1, 2, 450));
     }
 

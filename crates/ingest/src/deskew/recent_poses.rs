@@ -1,0 +1,150 @@
+//! The poses of the lidar around the scans that are being deskewed.
+
+use std::collections::VecDeque;
+
+use dataset::{Pose2, StampedPose};
+
+use crate::deskew::motion::ScanMotion;
+use crate::pose::jumps::is_jump;
+
+/// Between poses farther apart than this the motion is unknown \[ns\]. A robot that starts to turn
+/// with 1 rad/s^2 differs after 0.25 s by 1/8 a t^2 = 0.008 rad from a motion at constant rate.
+const MAX_GAP_NS: i64 = 250_000_000;
+/// Poses are kept for this time before the last released scan \[ns\].
+const KEPT_NS: i64 = 10_000_000_000;
+
+/// The most recent poses of the lidar, in a frame in which they do not jump.
+#[derive(Debug)]
+pub(crate) struct RecentPoses {
+    /// In order of time.
+    poses: VecDeque<StampedPose>,
+    max_speed_m_s: f64,
+    /// The stamp of the last added pose \[ns\].
+    last_ns: i64,
+}
+
+impl RecentPoses {
+    /// For a robot with this maximum speed.
+    pub(crate) fn new(max_speed_m_s: f64) -> Self {
+        Self { poses: VecDeque::new(), max_speed_m_s, last_ns: i64::MIN }
+    }
+
+    /// Adds a pose, usually the latest. If a pose with the same stamp exists, the new one is ignored.
+    pub(crate) fn push(&mut self, stamp_ns: i64, pose: Pose2) {
+        self.last_ns = stamp_ns;
+        let at = match self.poses.back() {
+            Some(back) if stamp_ns <= back.stamp_ns => {
+                self.poses.partition_point(|p| p.stamp_ns < stamp_ns)
+            }
+            _ => self.poses.len(),
+        };
+        if self.poses.get(at).is_none_or(|p| p.stamp_ns != stamp_ns) {
+            self.poses.insert(at, StampedPose::new(stamp_ns, pose));
+        }
+    }
+
+    /// Whether the last added pose is at or after a stamp. A single pose far in the future counts
+    /// only until the next pose is added.
+    pub(crate) fn has_reached(&self, stamp_ns: i64) -> bool {
+        stamp_ns <= self.last_ns
+    }
+
+    /// Removes poses that no scan from this stamp on needs.
+    pub(crate) fn forget_before(&mut self, stamp_ns: i64) {
+        let needed = stamp_ns.saturating_sub(KEPT_NS);
+        while self.poses.front().is_some_and(|pose| pose.stamp_ns < needed) {
+            self.poses.pop_front();
+        }
+    }
+
+    /// The motion of the lidar from one time to another, relative to the stamp of a scan. It is
+    /// `None` if poses are missing, too far apart, or jump.
+    pub(crate) fn motion(&self, stamp_ns: i64, from_ns: i64, to_ns: i64) -> Option<ScanMotion> {
+        // The last pose at or before the start, and the first pose at or after the end.
+        let first = self.poses.partition_point(|p| p.stamp_ns <= from_ns).checked_sub(1)?;
+        let last = self.poses.partition_point(|p| p.stamp_ns < to_ns);
+        self.poses.get(last)?;
+        // `last` is before `first` for a scan without duration at the stamp of a pose.
+        let poses: Vec<&StampedPose> = self.poses.range(first..=last.max(first)).collect();
+        if !poses.windows(2).all(|pair| self.is_motion_known(pair[0], pair[1])) {
+            return None;
+        }
+        Some(ScanMotion::new(&poses, stamp_ns))
+    }
+
+    fn is_motion_known(&self, a: &StampedPose, b: &StampedPose) -> bool {
+        b.stamp_ns.saturating_sub(a.stamp_ns) <= MAX_GAP_NS && !is_jump(a, b, self.max_speed_m_s)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    fn pose(x_m: f64, heading_rad: f64) -> Pose2 {
+        Pose2 { x_m, y_m: 0.0, heading_rad }
+    }
+
+    fn recent_poses(poses: &[(i64, Pose2)]) -> RecentPoses {
+        let mut recent_poses = RecentPoses::new(15.0);
+        poses.iter().for_each(|&(ms, pose)| recent_poses.push(ms * MS, pose));
+        recent_poses
+    }
+
+    /// 1 m/s along x and 1 rad/s: after 20 ms the lidar is at x = 0.02 m with heading 0.02 rad.
+    #[test]
+    fn the_motion_is_relative_to_the_stamp() {
+        let poses = [(0, pose(0.0, 0.0)), (50, pose(0.05, 0.05)), (100, pose(0.1, 0.1))];
+        let steady = recent_poses(&poses);
+        let motion = steady.motion(0, 0, 90 * MS).unwrap();
+        for ms in [0, 20, 50, 90] {
+            let ([x, y, heading], expected) = (motion.at(ms * MS), ms as f64 * 1e-3);
+            assert!((x - expected).abs() < 1e-12 && y.abs() < 1e-12);
+            assert!((heading - expected).abs() < 1e-12);
+        }
+        // At 10 ms the heading is 0.01 rad, so 0.08 m along x become 0.08 m (cos 0.01, -sin 0.01).
+        let motion = steady.motion(10 * MS, 10 * MS, 90 * MS).unwrap();
+        let [x, y, heading] = motion.at(80 * MS);
+        assert!((x - 0.08 * 0.01f64.cos()).abs() < 1e-12);
+        assert!((y + 0.08 * 0.01f64.sin()).abs() < 1e-12);
+        assert!((heading - 0.08).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_motion_is_unknown_in_gaps_outside_of_the_poses_and_across_jumps() {
+        let poses = [(0, pose(0.0, 3.1)), (250, pose(0.0, -3.1)), (501, pose(0.0, 3.1))];
+        let sparse = recent_poses(&poses);
+        // Across pi the heading changes by 0.083 rad, not by 6.2 rad.
+        let [_, _, turn] = sparse.motion(0, 0, 250 * MS).unwrap().at(250 * MS);
+        assert!((turn - (std::f64::consts::TAU - 6.2)).abs() < 1e-12);
+        assert_eq!(sparse.motion(0, 0, 251 * MS), None, "a gap of 251 ms");
+        assert_eq!(sparse.motion(0, -1, 100 * MS), None, "before the first pose");
+        assert_eq!(sparse.motion(400 * MS, 400 * MS, 502 * MS), None, "after the last pose");
+        assert_eq!(sparse.motion(250 * MS, 250 * MS, 250 * MS).unwrap().at(0), [0.0; 3]);
+        // With 15 m/s the limit for 50 ms is 0.75 m plus the tolerance of 0.1 m.
+        let step = |x_m| {
+            let poses = [(0, pose(0.0, 0.0)), (50, pose(x_m, 0.0))];
+            recent_poses(&poses).motion(0, 0, 40 * MS)
+        };
+        assert!(step(0.84).is_some() && step(0.86).is_none());
+    }
+
+    #[test]
+    fn poses_can_be_added_in_any_order() {
+        let mut recent_poses = recent_poses(&[(0, pose(0.0, 0.0)), (100, pose(0.1, 0.0))]);
+        assert!(recent_poses.has_reached(100 * MS));
+        recent_poses.push(50 * MS, pose(0.03, 0.0));
+        assert!(!recent_poses.has_reached(100 * MS));
+        recent_poses.push(1_000_000 * MS, pose(9.0, 0.0));
+        recent_poses.push(150 * MS, pose(0.1, 0.0));
+        recent_poses.push(150 * MS, pose(7.0, 0.0));
+        let motion = recent_poses.motion(0, 0, 140 * MS).unwrap();
+        assert!((motion.at(50 * MS)[0] - 0.03).abs() < 1e-12);
+        assert!((motion.at(75 * MS)[0] - 0.065).abs() < 1e-12);
+        recent_poses.forget_before(10_100 * MS);
+        assert_eq!(recent_poses.motion(0, 0, 140 * MS), None);
+        assert!(recent_poses.motion(100 * MS, 100 * MS, 140 * MS).is_some());
+    }
+}
