@@ -1,26 +1,27 @@
-//! Scans taken on the move, and poses from transforms and satellite fixes; on logs made in memory.
+//! Deskewing, and poses from transforms, wheels and satellite fixes, tested on logs in memory.
 
 mod common;
 
+use std::error::Error;
 use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
-use common::{Entry, ingest_bytes, options, pose, reasons, small_chunks, write};
+use common::{Entry, codes, ingest_bytes, options, pose, small_chunks, write};
 use dataset::{Pose2, Scan, Trajectory};
 use ingest::{Frames, Ingested, Options, Origin, PlanarPose, PoseOptions};
 use messages::hdl32e::{BLOCK_PERIOD_NS, BLOCKS, LASER_PERIOD_NS, PACKET_PERIOD_NS, PacketBuilder};
 use messages::{Encoding, Imu, JointState, LaserScan, NavSatFix, StampedPose3, Transform, ros};
 
-/// 0.18 deg a block: 2000 firings a turn, 10.85 Hz.
+/// Step of the azimuth per block, 0.18 deg: 2000 firings per revolution, 10.85 Hz.
 const STEP: u64 = 18;
-/// Nanoseconds of firing, all in all.
+/// Duration of the log \[ns\].
 const DURATION_NS: i64 = 1_000_000_000;
-/// Standard deviation of the range \[m\] (HDL-32E manual: accuracy below 2 cm).
+/// Standard deviation of the range \[m\] (HDL-32E manual: accuracy better than 2 cm).
 const NOISE_M: f64 = 0.02;
-/// Where the wall is, left of a robot that looks along x \[m\].
+/// The y coordinate of a wall parallel to the x axis \[m\].
 const WALL_M: f64 = 5.0;
 
-/// How the robot moves: it spins by 1 rad/s on the spot, which lies 1 m behind the lidar.
+/// `map_from_base`: the robot turns on the spot with 1 rad/s.
 fn robot_at(ns: i64) -> Pose2 {
     Pose2 { x_m: 0.0, y_m: 0.0, heading_rad: ns as f64 * 1e-9 }
 }
@@ -31,7 +32,7 @@ fn mount() -> Pose2 {
     Pose2 { x_m: MOUNT.x_m, y_m: MOUNT.y_m, heading_rad: MOUNT.heading_deg.to_radians() }
 }
 
-/// Noise of the normal distribution, the sum of twelve uniform numbers (Knuth, vol. 2, 3.4.1).
+/// Normally distributed noise: the sum of twelve uniform numbers (Knuth, vol. 2, 3.4.1).
 struct Noise(u64);
 
 impl Noise {
@@ -44,8 +45,7 @@ impl Noise {
     }
 }
 
-/// Packets of a lidar on the robot before a wall along x, at y = [`WALL_M`] of the map, and nothing
-/// else.
+/// Packets of a lidar on the robot. The only object is the wall at y = [`WALL_M`].
 fn wall_packets() -> Vec<Entry> {
     let mut noise = Noise(7);
     let n_packets = DURATION_NS / PACKET_PERIOD_NS;
@@ -56,10 +56,10 @@ fn wall_packets() -> Vec<Entry> {
             let mut packet = PacketBuilder::new(azimuths, (k * PACKET_PERIOD_NS / 1000) as u32);
             for block in 0..BLOCKS {
                 let block_at = first + block as u64;
-                // Laser 15 fires 15/40 of a block after the azimuth was read.
+                // Laser 15 fires 15/40 of a block period after the azimuth is read.
                 let ns = block_at as i64 * BLOCK_PERIOD_NS + 15 * LASER_PERIOD_NS;
                 let azimuth = (block_at as f64 + 0.375) * STEP as f64 * 1e-2;
-                let lidar = robot_at(ns) * mount();
+                let lidar = robot_at(ns) * mount(); // map_from_base * base_from_lidar
                 let direction = lidar.heading_rad - azimuth.to_radians();
                 let range_m = (WALL_M - lidar.y_m) / direction.sin();
                 if 0.0 < range_m && range_m < 20.0 {
@@ -84,7 +84,7 @@ fn quaternion(heading_rad: f64) -> [f64; 4] {
 
 const MS: i64 = 1_000_000;
 
-/// Poses of the robot every so many ms, a little longer than the packets.
+/// Poses of the robot with this period, for a little longer than the packets.
 fn robot_poses(every_ms: usize) -> Vec<Entry> {
     let message = |ms: i64| {
         let at = robot_at(ms * MS);
@@ -101,7 +101,7 @@ fn robot_poses(every_ms: usize) -> Vec<Entry> {
         .collect()
 }
 
-/// The messages of two topics, taken in turns, so that they lie beside each other in the file.
+/// Mixes the messages of two topics, in proportion to their numbers.
 fn interleaved(a: Vec<Entry>, b: Vec<Entry>) -> Vec<Entry> {
     let (n_a, n_b) = (a.len() as f64, b.len() as f64);
     let place = |k: usize, n: f64| (k as f64 + 0.5) / n;
@@ -121,11 +121,15 @@ fn moving(pose: PoseOptions, deskew: bool) -> Options {
     Options { pose: Some(pose), ..options }
 }
 
+fn has_note(ingested: &Ingested, text: &str) -> bool {
+    ingested.notes.iter().any(|note| note.to_string().starts_with(text))
+}
+
 fn ingest(entries: &[Entry], options: &Options) -> (Vec<Scan>, Ingested) {
     ingest_bytes(&write(entries, small_chunks()), options).unwrap()
 }
 
-/// Root mean square of the distances of a scan's points to the line that fits them best \[m\].
+/// Root mean square distance of the points of a scan from their best fitting line \[m\].
 fn line_residual_m(scan: &Scan) -> f64 {
     let points: Vec<[f64; 2]> =
         scan.x_m.iter().zip(&scan.y_m).map(|(&x, &y)| [x.into(), y.into()]).collect();
@@ -137,7 +141,8 @@ fn line_residual_m(scan: &Scan) -> f64 {
     (smaller / n).sqrt()
 }
 
-/// Range noise across the wall: a point at an angle b from the wall's normal is off by noise cos b.
+/// Expected residual from the range noise: at an angle b from the normal of the wall, the noise
+/// perpendicular to the wall is multiplied by cos b.
 fn expected_residual_m(scan: &Scan, lidar: &Pose2) -> f64 {
     let along = scan.x_m.iter().zip(&scan.y_m).map(|(&x, &y)| {
         let direction = f64::from(y).atan2(f64::from(x)) + lidar.heading_rad;
@@ -146,32 +151,32 @@ fn expected_residual_m(scan: &Scan, lidar: &Pose2) -> f64 {
     NOISE_M * (along.sum::<f64>() / scan.len() as f64).sqrt()
 }
 
-/// Without deskew the wall is bent by what the robot turns while the lidar sweeps over it, about
-/// 0.04 rad; with it, from poses at 20 Hz, its residual is that of the range noise.
+/// Without deskewing the wall is bent, because the robot turns by about 0.04 rad while the lidar scans
+/// the wall. With deskewing, from poses at 20 Hz, the residual equals the range noise.
 #[test]
-fn on_a_spin_past_a_flat_wall_the_residual_falls_to_the_range_noise() {
+fn deskewing_reduces_the_residual_of_a_flat_wall_to_the_range_noise() {
     let log = interleaved(wall_packets(), robot_poses(50));
     let pose = || PoseOptions::of_topic("/pose");
     let (raw, of_raw) = ingest(&log, &moving(pose(), false));
-    let (straight, of_straight) = ingest(&log, &moving(pose(), true));
-    assert_eq!((raw.len(), straight.len()), (10, 10));
-    assert!(of_raw.notes.iter().any(|note| note.contains("deskew = false")), "{:?}", of_raw.notes);
-    assert!(of_straight.notes.contains(&"10 scans deskewed".to_owned()));
-    for (raw, straight) in raw.iter().zip(&straight) {
+    let (deskewed, of_deskewed) = ingest(&log, &moving(pose(), true));
+    assert_eq!((raw.len(), deskewed.len()), (10, 10));
+    assert!(has_note(&of_raw, "scans not deskewed (`ingest.lidar.deskew = false`)"));
+    assert!(has_note(&of_deskewed, "10 scans deskewed"));
+    for (raw, deskewed) in raw.iter().zip(&deskewed) {
         let lidar = robot_at(raw.stamp_ns) * mount();
-        let noise_m = expected_residual_m(straight, &lidar);
-        assert!(400 < straight.len() && raw.len() == straight.len());
-        let (before, after) = (line_residual_m(raw), line_residual_m(straight));
+        let noise_m = expected_residual_m(deskewed, &lidar);
+        assert!(400 < deskewed.len() && raw.len() == deskewed.len());
+        let (before, after) = (line_residual_m(raw), line_residual_m(deskewed));
         assert!(2.0 * noise_m < before, "{before} m");
-        // Of 700 points the root mean square is off by 1 / sqrt(2 * 700) = 2.7 % now and then.
+        // The standard error of the root mean square of 700 points is 1 / sqrt(2 * 700) = 2.7 %.
         assert!((after / noise_m - 1.0).abs() < 0.1, "{after} m, expected {noise_m} m");
-        // And it is where the wall is seen from at the stamp.
-        let mean_m = mean_wall_m(straight, &lidar);
+        // The wall is at the correct position for the pose at the stamp.
+        let mean_m = mean_wall_m(deskewed, &lidar);
         assert!((mean_m - WALL_M).abs() < 0.005, "{mean_m} m");
     }
 }
 
-/// Mean y of a scan's points in the map.
+/// Mean y of the points of a scan in the map \[m\].
 fn mean_wall_m(scan: &Scan, lidar: &Pose2) -> f64 {
     let y = scan.x_m.iter().zip(&scan.y_m).map(|(&x_m, &y_m)| {
         (*lidar * Pose2 { x_m: x_m.into(), y_m: y_m.into(), heading_rad: 0.0 }).y_m
@@ -179,21 +184,21 @@ fn mean_wall_m(scan: &Scan, lidar: &Pose2) -> f64 {
     y.sum::<f64>() / scan.len() as f64
 }
 
-/// Sparse poses, or none in time, leave the scans as they are; that is told.
 #[test]
-fn where_the_motion_is_not_known_scans_stay_as_they_are() {
+fn scans_with_an_unknown_motion_are_not_deskewed() {
     let pose = || PoseOptions::of_topic("/pose");
     let (raw, _) = ingest(&interleaved(wall_packets(), robot_poses(50)), &moving(pose(), false));
     let sparse = interleaved(wall_packets(), robot_poses(300));
     let (scans, ingested) = ingest(&sparse, &moving(pose(), true));
     assert_eq!(scans, raw);
-    let note = "0 scans deskewed; 10 are as they were measured, since the motion around them is not known at least every 0.25 s, or jumps";
-    assert!(ingested.notes.iter().any(|n| n == note), "{:?}", ingested.notes);
+    assert!(has_note(&ingested, "0 scans deskewed"), "{:?}", ingested.notes);
+    let note = "10 scans not deskewed: the motion is not known at least every 0.25 s";
+    assert!(has_note(&ingested, note), "{:?}", ingested.notes);
 }
 
-/// A log that was written topic by topic, poses first or last, or without an index, gives the same.
+/// The log is written topic by topic, with the poses first or last, with and without chunks.
 #[test]
-fn where_the_poses_lie_in_the_file_does_not_matter() {
+fn the_position_of_the_poses_in_the_file_does_not_matter() {
     let pose = || PoseOptions::of_topic("/pose");
     let options = moving(pose(), true);
     let (packets, poses) = (wall_packets(), robot_poses(50));
@@ -205,16 +210,16 @@ fn where_the_poses_lie_in_the_file_does_not_matter() {
             let (scans, ingested) = ingest_bytes(&write(entries, writing), &options).unwrap();
             assert_eq!(scans, expected);
             assert_eq!(
-                (ingested.trajectory.poses().len(), ingested.dropped.is_empty()),
+                (ingested.trajectory.poses().len(), ingested.losses.is_empty()),
                 (25, true)
             );
         }
     }
 }
 
-/// A planar scanner whose beams take 0.1 s: a wall ahead, at which the robot drives with 1 m/s.
+/// A planar scanner with 0.1 s per scan drives toward a wall with 1 m/s.
 #[test]
-fn planar_scans_with_times_are_straightened() {
+fn planar_scans_with_return_times_are_deskewed() {
     let beams = 101;
     let scan = LaserScan {
         stamp_ns: 100 * MS,
@@ -236,17 +241,18 @@ fn planar_scans_with_times_are_straightened() {
         "cdr",
         ros::write_laser_scan(Encoding::Cdr, "laser", &scan),
     )];
-    // One metre every 0.1 s is too fast by far; of a tenth of that the scan knows.
-    let slow = |k: i64| StampedPose3 {
+    // 0.1 m every 0.1 s, the motion in the scan.
+    let slow_pose = |k: i64| StampedPose3 {
         stamp_ns: k * 100 * MS,
         position: [0.1 * k as f64, 0.0, 0.0],
         orientation: quaternion(0.0),
     };
-    let stamped = |k| ros::write_pose_stamped(Encoding::Cdr, "map", &slow(k));
+    let stamped = |k| ros::write_pose_stamped(Encoding::Cdr, "map", &slow_pose(k));
     log.extend((0..4).map(|k| ("/pose", "geometry_msgs/msg/PoseStamped", "cdr", stamped(k))));
     let (scans, _) = ingest(&log, &options("/scan", Some("/pose")));
     assert!(scans[0].x_m.iter().all(|x| (f64::from(*x) - WALL_M).abs() < 1e-5));
-    // Poses of 1 m a step jump: 10 m/s are below the limit of 15 m/s, and above one of 5.
+    // Steps of 1 m in 0.1 s, 10 m/s, are below the default limit of 15 m/s. With a limit of 5 m/s
+    // they are jumps.
     let fast: Vec<Entry> = [log[0].clone()]
         .into_iter()
         .chain(
@@ -256,17 +262,18 @@ fn planar_scans_with_times_are_straightened() {
         .collect();
     let mut limited = options("/scan", Some("/pose"));
     let (_, ingested) = ingest(&fast, &limited);
-    assert!(ingested.notes.contains(&"1 scans deskewed".to_owned()));
+    assert!(has_note(&ingested, "1 scans deskewed"));
     limited.pose.as_mut().unwrap().max_speed_m_s = 5.0;
     let (_, ingested) = ingest(&fast, &limited);
-    let note = "3 jumps of the poses, faster than 5 m/s, the largest of 1.00 m in 0.100 s at 0 ns";
-    assert!(ingested.notes.iter().any(|n| n.starts_with(note)), "{:?}", ingested.notes);
-    assert!(ingested.notes.iter().any(|n| n.starts_with("0 scans deskewed")));
+    let note =
+        "the poses jump 3 times faster than 5 m/s; the largest jump is 1.00 m in 0.100 s at 0 ns";
+    assert!(has_note(&ingested, note), "{:?}", ingested.notes);
+    assert!(has_note(&ingested, "0 scans deskewed"));
 }
 
-/// The same spin, told by transforms map -> odom -> base (50 Hz) -> lidar.
+/// The same turn on the spot, as transforms map -> odom -> base (50 Hz) -> lidar.
 #[test]
-fn transforms_give_poses_and_straighten_scans() {
+fn transforms_give_poses_and_deskew_scans() {
     let transform = |parent: &str, child: &str, ms: i64, at: Pose2| Transform {
         stamp_ns: ms * MS,
         parent: parent.to_owned(),
@@ -274,23 +281,23 @@ fn transforms_give_poses_and_straighten_scans() {
         translation: [at.x_m, at.y_m, 0.7],
         rotation: quaternion(at.heading_rad),
     };
-    // The map lies somewhere else, by a transform that is told now and then.
+    // The transform from map to odom has a low rate.
     let map_from_odom = Pose2 { x_m: 30.0, y_m: -4.0, heading_rad: 2.0 };
-    let mut told: Vec<Entry> = Vec::new();
+    let mut entries: Vec<Entry> = Vec::new();
     let tf = |topic, transforms: &[Transform]| -> Entry {
         (topic, "tf2_msgs/msg/TFMessage", "cdr", ros::write_tf(Encoding::Cdr, transforms))
     };
-    told.push(tf("/tf_static", &[transform("base", "lidar", 0, mount())]));
+    entries.push(tf("/tf_static", &[transform("base", "lidar", 0, mount())]));
     for ms in (0..=1200).step_by(20) {
         let wheel = transform("base", "wheel", ms, robot_at(ms * 50 * MS));
         let base = transform("odom", "base", ms, robot_at(ms * MS));
         let map = transform("map", "odom", ms, map_from_odom);
-        told.push(match ms % 200 {
+        entries.push(match ms % 200 {
             0 => tf("/tf", &[wheel, base, map]),
             _ => tf("/tf", &[wheel, base]),
         });
     }
-    let log = interleaved(wall_packets(), told);
+    let log = interleaved(wall_packets(), entries);
     let of = |parent: &str, child: &str| {
         let topics = vec!["/tf".to_owned(), "/tf_static".to_owned()];
         let (parent, child) = (parent.to_owned(), child.to_owned());
@@ -305,7 +312,8 @@ fn transforms_give_poses_and_straighten_scans() {
         assert!(expected.distance_m(&stamped.pose) < 1e-12);
         assert!(expected.heading_difference_rad(&stamped.pose) < 1e-12);
     }
-    // As by poses of the robot and a mount; f32 points of steps of 20 and of 50 ms.
+    // The same scans as with poses of the robot and a mount. The pose steps are 20 and 50 ms, and
+    // the points are f32.
     let by_pose = moving(PoseOptions::of_topic("/pose"), true);
     let (expected, _) = ingest(&interleaved(wall_packets(), robot_poses(50)), &by_pose);
     assert_eq!(scans.len(), expected.len());
@@ -313,21 +321,26 @@ fn transforms_give_poses_and_straighten_scans() {
         let steps = a.x_m.iter().zip(&b.x_m).chain(a.y_m.iter().zip(&b.y_m));
         assert!(steps.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max) < 1e-3);
     }
-    let fail = |parent, child| {
+    let error = |parent, child| {
         let options = moving(of(parent, child), true);
-        ingest_bytes(&write(&log, small_chunks()), &options).unwrap_err().to_string()
+        let error = ingest_bytes(&write(&log, small_chunks()), &options).unwrap_err();
+        (error.to_string(), error.source().unwrap().to_string())
     };
+    let (message, cause) = error("map", "camera");
     assert_eq!(
-        fail("map", "camera"),
-        "drive.mcap: there are no poses of frame `camera` in frame `map`, since no transforms lead from one to the other; the transforms connect the frames `base`, `lidar`, `map`, `odom`, `wheel`: set `ingest.pose.frames` to two of them"
+        message,
+        "drive.mcap: no poses of frame `camera` in frame `map`; the transforms contain the frames `base`, `lidar`, `map`, `odom`, `wheel`: set `ingest.pose.frames` to two connected frames"
     );
-    assert!(fail("base", "lidar").contains("none of the transforms between them moves"));
+    assert_eq!(cause, "no chain of transforms connects the two frames");
+    let (_, cause) = error("base", "lidar");
+    assert_eq!(cause, "all transforms between the two frames are static");
 }
 
-/// Wheels at 50 Hz and an IMU at 100 Hz, upside down: the same spin, dead-reckoned.
+/// The same turn on the spot, measured by wheels at 50 Hz and an IMU at 100 Hz that is mounted upside
+/// down.
 #[test]
-fn wheels_and_an_imu_straighten_scans() {
-    let mut told: Vec<Entry> = Vec::new();
+fn dead_reckoning_from_wheels_deskews_scans() {
+    let mut entries: Vec<Entry> = Vec::new();
     for ms in (0..=1200i64).step_by(10) {
         let imu = Imu {
             stamp_ns: ms * MS,
@@ -336,7 +349,7 @@ fn wheels_and_an_imu_straighten_scans() {
             linear_acceleration: Some([0.0, 0.0, -9.8]),
         };
         let bytes = ros::write_imu(Encoding::Cdr, "imu", &imu);
-        told.push(("/imu", "sensor_msgs/msg/Imu", "cdr", bytes));
+        entries.push(("/imu", "sensor_msgs/msg/Imu", "cdr", bytes));
         if ms % 20 == 0 {
             let joints = JointState {
                 stamp_ns: ms * MS,
@@ -345,10 +358,10 @@ fn wheels_and_an_imu_straighten_scans() {
                 velocities: vec![],
             };
             let bytes = ros::write_joint_state(Encoding::Cdr, "base", &joints);
-            told.push(("/wheels", "sensor_msgs/msg/JointState", "cdr", bytes));
+            entries.push(("/wheels", "sensor_msgs/msg/JointState", "cdr", bytes));
         }
     }
-    let log = interleaved(wall_packets(), told);
+    let log = interleaved(wall_packets(), entries);
     for imu in [Some("/imu".to_owned()), None] {
         let pose = PoseOptions {
             wheels: Some("/wheels".to_owned()),
@@ -357,15 +370,15 @@ fn wheels_and_an_imu_straighten_scans() {
             ..PoseOptions::default()
         };
         let (scans, ingested) = ingest(&log, &moving(pose, true));
-        // The first turn begins before there is a speed, between the first two positions.
-        let note = ingested.notes.iter().find(|n| n.contains("deskewed")).unwrap();
-        assert!(note.starts_with("10 scans") || note.starts_with("9 scans"), "{note}");
+        // The first revolution starts before the first speed, which is computed from two positions.
+        let is_deskewed = |n| has_note(&ingested, &format!("{n} scans deskewed"));
+        assert!(is_deskewed(9) || is_deskewed(10), "{:?}", ingested.notes);
         for scan in &scans[1..] {
             let noise_m = expected_residual_m(scan, &(robot_at(scan.stamp_ns) * mount()));
             let residual_m = line_residual_m(scan);
             assert!((residual_m / noise_m - 1.0).abs() < 0.1, "{residual_m} m, {noise_m} m");
         }
-        // The poses are the lidar's: 1.118 m from where the robot spins.
+        // These are the poses of the lidar, 1.118 m from the center of the turn.
         for stamped in ingested.trajectory.poses() {
             let radius_m = stamped.pose.distance_m(&Pose2::default());
             assert!((radius_m - 1.25f64.sqrt()).abs() < 0.02, "{radius_m} m");
@@ -374,9 +387,9 @@ fn wheels_and_an_imu_straighten_scans() {
     }
 }
 
-/// 20 fixes along 45 deg, some of them none; the origin is given or that of the first fix.
+/// 20 satellite messages toward the northeast, 4 of them without a fix.
 #[test]
-fn fixes_give_poses_east_and_north_of_an_origin() {
+fn satellite_fixes_give_poses_relative_to_an_origin() {
     let fix = |k: i64| NavSatFix {
         stamp_ns: k * 100 * MS,
         status: if k % 5 == 4 { -1 } else { 0 },
@@ -386,27 +399,24 @@ fn fixes_give_poses_east_and_north_of_an_origin() {
         covariance: [0.0; 9],
     };
     let schema = "sensor_msgs/msg/NavSatFix";
-    let told = |k| ros::write_nav_sat_fix(Encoding::Cdr, "gps", &fix(k));
-    let fixes: Vec<Entry> = (0..20).map(|k| ("/fix", schema, "cdr", told(k))).collect();
+    let message = |k| ros::write_nav_sat_fix(Encoding::Cdr, "gps", &fix(k));
+    let fixes: Vec<Entry> = (0..20).map(|k| ("/fix", schema, "cdr", message(k))).collect();
     let log = interleaved(common::planar_log(), fixes);
     let mut options = options("/scan", Some("/fix"));
     let (_, ingested) = ingest(&log, &options);
-    assert_eq!(
-        reasons(&ingested.dropped),
-        [("messages of /fix without a fix (status below 0)", 4)]
-    );
+    assert_eq!(codes(&ingested.losses), [("no_gnss_fix", 4)]);
     assert!(ingested.is_own_frame);
     let poses = ingested.trajectory.poses();
     assert_eq!((poses.len(), poses[0].pose.x_m, poses[0].pose.y_m), (16, 0.0, 0.0));
-    // A degree of latitude at 42.29 deg is 111 068 m, one of longitude 82 464 m (the radii of
-    // curvature of WGS 84), and both grow by 250 m in the earth's radius.
+    // At latitude 42.29 deg, one degree of latitude is 111 068 m and one degree of longitude 82 464 m
+    // (radii of curvature of WGS 84). An altitude of 250 m adds 250 m to the radii.
     let far = poses.last().unwrap().pose;
     assert!((far.y_m - 18e-5 * 111_068.0 * (1.0 + 250.0 / 6.37e6)).abs() < 2e-3, "{far:?}");
     assert!((far.x_m - 18e-5 * 82_464.0 * (1.0 + 250.0 / 6.37e6)).abs() < 2e-3, "{far:?}");
     assert!((far.heading_rad - (111_068.0f64 / 82_464.0).atan()).abs() < 1e-3);
-    let note = "poses of 16 fixes, headings by course, from the origin { latitude_deg = 42.29, longitude_deg = -83.71, altitude_m = 250 }";
-    assert!(ingested.notes.iter().any(|n| n == note), "{:?}", ingested.notes);
-    // From a point 1e-3 deg farther south it is 111 m north.
+    let note = "poses from 16 satellite fixes, headings from the course, origin { latitude_deg = 42.29, longitude_deg = -83.71, altitude_m = 250 }";
+    assert!(has_note(&ingested, note), "{:?}", ingested.notes);
+    // An origin 1e-3 deg farther south is 111 m away.
     let origin = Origin { latitude_deg: 42.289, longitude_deg: -83.71, altitude_m: 250.0 };
     options.pose.as_mut().unwrap().origin = Some(origin);
     let (_, ingested) = ingest(&log, &options);
@@ -414,9 +424,9 @@ fn fixes_give_poses_east_and_north_of_an_origin() {
     assert!((ingested.trajectory.poses()[0].pose.y_m - 111.07).abs() < 0.02);
 }
 
-/// Half a turn of the mount: what lies ahead of the robot lies behind the lidar.
+/// The lidar is mounted backward on the robot.
 #[test]
-fn poses_are_those_of_the_lidar() {
+fn the_trajectory_contains_the_poses_of_the_lidar() {
     let mut options = options("/scan", Some("/pose"));
     options.lidar.mount = Some(PlanarPose { x_m: 0.5, y_m: -0.25, heading_deg: 180.0 });
     let (_, ingested) = ingest(&common::planar_log(), &options);
@@ -426,11 +436,10 @@ fn poses_are_those_of_the_lidar() {
     }
 }
 
-/// Of real paths through real floor plans, seen by an HDL-32E on the move: every 20th scan and the
-/// one after it, laid over each other by the poses; the mean distance from a point of one to the
-/// nearest of the other falls.
+/// HDL-32E scans along real paths through real floor plans. Every 20th scan and the next scan are
+/// transformed to the map. Deskewing reduces the mean distance between nearest points.
 #[test]
-fn consecutive_scans_of_the_real_drives_lie_closer_when_straightened() {
+fn deskewing_brings_consecutive_scans_of_real_drives_closer_together() {
     let data = std::env::var_os("LOOPBOOST_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
         PathBuf::from,
@@ -450,13 +459,13 @@ fn consecutive_scans_of_the_real_drives_lie_closer_when_straightened() {
                 pairs.map(|pair| nearest_m(&pair[0], &pair[1], &ingested.trajectory)).collect();
             residuals.iter().sum::<f64>() / residuals.len() as f64
         };
-        let (raw_m, straight_m) = (residual_m(false), residual_m(true));
-        println!("{name}: {raw_m:.4} m, deskewed {straight_m:.4} m");
-        assert!(straight_m < 0.97 * raw_m, "{name}: {raw_m} m, deskewed {straight_m} m");
+        let (raw_m, deskewed_m) = (residual_m(false), residual_m(true));
+        println!("{name}: {raw_m:.4} m, deskewed {deskewed_m:.4} m");
+        assert!(deskewed_m < 0.97 * raw_m, "{name}: {raw_m} m, deskewed {deskewed_m} m");
     }
 }
 
-/// Mean distance from the points of one scan to the nearest of another \[m\].
+/// Mean distance from the points of scan `b` to the nearest points of scan `a` \[m\].
 fn nearest_m(a: &Scan, b: &Scan, trajectory: &Trajectory) -> f64 {
     let in_map = |scan: &Scan| -> Vec<[f64; 2]> {
         let pose = trajectory.pose_at(scan.stamp_ns, 200 * MS).unwrap();
@@ -467,7 +476,8 @@ fn nearest_m(a: &Scan, b: &Scan, trajectory: &Trajectory) -> f64 {
     let mut others = in_map(a);
     others.sort_by(|p, q| p[0].total_cmp(&q[0]));
     let nearest = |[x, y]: [f64; 2]| {
-        // Outwards from the point with the same x, until x alone is farther than the nearest.
+        // Search outward from the point with the same x, until the distance in x alone is larger than
+        // the distance of the nearest point.
         let start = others.partition_point(|p| p[0] < x);
         let mut best = f64::INFINITY;
         let mut look = |p: &[f64; 2]| {
