@@ -49,9 +49,10 @@ fn one_bad_log_is_named_and_the_others_are_done() {
     workplace
         .command("ingest", "batch", &["--strict"])
         .expect(1)
-        .says(&["bag.mcap is no MCAP log"]);
+        .says(&["bag.mcap is not an MCAP file"]);
     let finished = workplace.command("ingest", "batch", &[]).expect(3);
-    let finished = finished.says(&["1 log left out of the run, `bag`:", "bag.mcap is no MCAP log"]);
+    let finished =
+        finished.says(&["1 log left out of the run, `bag`:", "bag.mcap is not an MCAP file"]);
     assert!(finished.stdout.contains("one: "), "{}", finished.stdout);
     let names: Vec<String> = workplace.files("batch").into_keys().collect();
     for log in ["one", "two"] {

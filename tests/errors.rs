@@ -137,7 +137,7 @@ fn a_wrong_topic_or_schema_fails() {
         .command("ingest", "out", &["--set", "ingest.lidar.topic=/pose"])
         .expect(1)
         .says(&[
-            "`/pose` holds `geometry_msgs/msg/PoseStamped, cdr`",
+            "`/pose` contains `geometry_msgs/msg/PoseStamped, cdr`",
             "expected `VelodyneScan`, `VelodynePacket`, `PointCloud2`, `LaserScan`, `foxglove.PointCloud` or `foxglove.LaserScan`",
         ]);
     workplace(PIPELINE)
@@ -193,7 +193,7 @@ fn what_is_no_log_fails() {
     let workplace = workplace(PIPELINE);
     fs::write(workplace.path("a.mcap"), b"#ROSBAG V2.0\n").unwrap();
     workplace.command("run", "out", &[]).expect(1).says(&[
-        "a.mcap is no MCAP log",
+        "a.mcap is not an MCAP file",
         "23 52 4f 53",
         "convert",
     ]);
@@ -206,7 +206,7 @@ fn what_is_no_log_fails() {
     workplace
         .command("run", "out", &["--set", "ingest.logs=[\"*.mcap\"]"])
         .expect(1)
-        .says(&["there is no *.mcap in `*.mcap`"]);
+        .says(&["no *.mcap file in `*.mcap`"]);
 }
 
 #[test]

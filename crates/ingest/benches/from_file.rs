@@ -1,11 +1,12 @@
-//! From a log on disk to its scans, and on to their table, beside the least that any reader has to do: read the
-//! same messages with the `mcap` crate and sum their bytes, with as many threads.
+//! Measures the time from a log on disk to its scans, and to their table. For comparison, it measures
+//! the minimum work of any reader: reading the same messages with the `mcap` crate and summing their
+//! bytes, with the same number of threads.
 //!
 //! `cargo bench -p ingest --bench from_file [-- LOG.mcap [LIDAR_TOPIC POSE_TOPIC]]`
 //!
-//! Without a log it takes `logs/hdl32e-killian.mcap` of the folder in `LOOPBOOST_DATA`. Both are
-//! run in turn, so that a machine that slows down slows both; the ratio is of the medians. What
-//! is computed is checked too: every run must give the same scans and the same sum.
+//! The default log is `logs/hdl32e-killian.mcap` in the folder `LOOPBOOST_DATA`. The measurements
+//! alternate, so a machine that slows down affects all of them. The ratio is that of the medians. Every
+//! run must give the same scans and the same sum.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -21,7 +22,7 @@ fn main() {
     let mut args = std::env::args().skip(1).filter(|arg| !arg.starts_with("--"));
     let log = args.next().map(PathBuf::from).or_else(killian);
     let Some(log) = log.filter(|log| log.exists()) else {
-        println!("skipped: no shared data (set LOOPBOOST_DATA or name a log)");
+        println!("skipped: no shared data (set LOOPBOOST_DATA or pass a log)");
         return;
     };
     let lidar = args.next().unwrap_or_else(|| "/velodyne_packets".to_owned());
@@ -54,7 +55,7 @@ fn main() {
         println!("  scans                        {:>10}", scans[0]);
     }
     if let Some(peak) = peak_memory_kb() {
-        println!("peak memory of this process, both together: {} MB", peak / 1024);
+        println!("peak memory of this process: {} MB", peak / 1024);
     }
 }
 
@@ -94,7 +95,7 @@ fn to_scans_table(log: &Path, table: &Path, lidar: &str, pose: &str) -> usize {
     .expect("an intact log")
 }
 
-/// Chunk by chunk, some at once; the file is mapped, as ours is.
+/// Reads chunks in parallel from the memory-mapped file.
 fn sum_of_messages(log: &Path, topics: [&str; 2]) -> u64 {
     let log = Log::open(log).expect("a log");
     let summary = mcap::Summary::read(log.bytes()).expect("readable").expect("a summary");
@@ -123,7 +124,7 @@ fn median(mut times: Vec<Duration>) -> Duration {
     times[times.len() / 2]
 }
 
-/// High-water mark of the resident set, mapped file included (Linux).
+/// Peak of the resident set, including the mapped file (Linux).
 fn peak_memory_kb() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

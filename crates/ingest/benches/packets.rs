@@ -1,12 +1,13 @@
-//! Packets to the scans of one ring, beside `velodyne-decoder` (PyPI, C++), on one thread each.
+//! Measures the time from packets to the scans of one ring, compared with `velodyne-decoder` (PyPI,
+//! C++), on one thread each.
 //!
 //! `cargo bench -p ingest --bench packets`
 //!
-//! Takes the packets of `logs/hdl32e-street.ros2.mcap` of the folder in `LOOPBOOST_DATA` and goes
-//! round them, with the clocks moved on, as an uncompressed log. Ours reads that log from the page
-//! cache and gives scans; the peer, run by the Python in `LOOPBOOST_PYTHON`, decodes the same packets
-//! from memory into points (`tests/peers/packets.py`). Both are run in turn. Every run must give the
-//! same scans.
+//! The benchmark repeats the packets of `logs/hdl32e-street.ros2.mcap` in the folder `LOOPBOOST_DATA`,
+//! with advancing clocks, and writes them to an uncompressed log. `ingest` reads that log from the page
+//! cache and makes scans. The peer decodes the same packets from memory into points
+//! (`tests/peers/packets.py`, run with the Python in `LOOPBOOST_PYTHON`). The measurements alternate.
+//! Every run must give the same scans.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -85,7 +86,8 @@ fn packets_of(log: &Path) -> Vec<StampedPacket> {
     packets
 }
 
-/// The packets [`ROUNDS`] times, stamps and device clock moved on by the capture's length.
+/// Repeats the packets [`ROUNDS`] times, advancing stamps and device clock by the length of the
+/// capture.
 fn repeated(capture: &[StampedPacket]) -> Vec<StampedPacket> {
     let device_us = |packet: &StampedPacket| {
         u32::from_le_bytes(packet.1[1200..1204].try_into().expect("four bytes"))
@@ -96,10 +98,10 @@ fn repeated(capture: &[StampedPacket]) -> Vec<StampedPacket> {
         .flat_map(|round| {
             capture.iter().map(move |packet| {
                 let (stamp_ns, mut bytes) = *packet;
-                let on_us = round * round_us;
-                let time = (device_us(packet) + on_us) % HOUR_US;
+                let offset_us = round * round_us;
+                let time = (device_us(packet) + offset_us) % HOUR_US;
                 bytes[1200..1204].copy_from_slice(&time.to_le_bytes());
-                (stamp_ns + i64::from(on_us) * 1000, bytes)
+                (stamp_ns + i64::from(offset_us) * 1000, bytes)
             })
         })
         .collect()
@@ -120,9 +122,9 @@ fn write(path: &Path, packets: &[StampedPacket]) {
         message_encoding: "cdr".to_owned(),
         metadata: BTreeMap::new(),
     });
-    for turn in packets.chunks(PACKETS_PER_MESSAGE) {
-        let stamp_ns = turn[turn.len() - 1].0;
-        let data = ros::write_velodyne_scan(Encoding::Cdr, "velodyne", stamp_ns, turn);
+    for packets in packets.chunks(PACKETS_PER_MESSAGE) {
+        let stamp_ns = packets[packets.len() - 1].0;
+        let data = ros::write_velodyne_scan(Encoding::Cdr, "velodyne", stamp_ns, packets);
         let message = mcap::Message {
             channel: channel.clone(),
             sequence: 0,

@@ -29,6 +29,7 @@ use dataset::Scan;
 use rayon::prelude::*;
 
 pub use crate::mcap::log::{Channel, Contents, Log};
+pub use drive::split::{DriveFiles, MetadataError, group_files};
 pub use error::{IngestError, NoScansReason};
 pub use messages::MessageType;
 pub use messages::hdl32e::HORIZONTAL_LASER;

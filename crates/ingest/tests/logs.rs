@@ -1,12 +1,12 @@
-//! The structure of logs, whole and damaged.
+//! Tests of the structure of logs, intact and damaged.
 
 mod common;
 
 use std::path::Path;
 
 use common::{
-    Entry, error, ingest_bytes, ingest_file, options, packet_log, planar_log, reasons,
-    small_chunks, write,
+    Entry, codes, error, ingest_bytes, ingest_file, options, packet_log, planar_log, small_chunks,
+    write,
 };
 use dataset::StampedPose;
 use ingest::IngestError;
@@ -15,11 +15,11 @@ use messages::hdl32e::PacketBuilder;
 use messages::{Encoding, LaserScan, ros};
 
 #[test]
-fn every_compression_and_layout_gives_the_same() {
+fn every_compression_and_layout_gives_the_same_result() {
     let options = options("/scan", Some("/pose"));
     let expected = ingest_bytes(&write(&planar_log(), small_chunks()), &options).unwrap();
     assert_eq!((expected.0.len(), expected.1.trajectory.poses().len()), (10, 10));
-    assert!(expected.1.dropped.is_empty());
+    assert!(expected.1.losses.is_empty());
     let plain = WriteOptions::new;
     for (name, layout) in [
         ("lz4", small_chunks().compression(Some(Compression::Lz4))),
@@ -51,14 +51,14 @@ fn every_compression_and_layout_gives_the_same() {
 }
 
 #[test]
-fn ros_1_and_ros_2_packets_give_the_same_turns() {
+fn ros_1_and_ros_2_packets_give_the_same_revolutions() {
     let options = options("/packets", None);
     let (cdr, found) =
         ingest_bytes(&write(&packet_log(Encoding::Cdr), WriteOptions::new()), &options).unwrap();
     let (ros1, _) =
         ingest_bytes(&write(&packet_log(Encoding::Ros1), small_chunks()), &options).unwrap();
     assert_eq!(cdr, ros1);
-    // 5280 firings of 0.17 deg: the log starts at azimuth 0, so that its first turn is whole.
+    // 5280 firings of 0.17 deg. The log starts at azimuth 0, so its first revolution is complete.
     assert_eq!((cdr.len(), found.n_partial_revolutions), (2, 1));
     assert_eq!(cdr[0].len(), 2118);
     assert_eq!(cdr[0].stamp_ns, 17_280, "15 lasers of 1.152 us into the first block");
@@ -78,15 +78,15 @@ fn chunks_without_the_topics_are_not_decompressed() {
     let mut entries: Vec<Entry> = vec![("/camera", "sensor_msgs/msg/Image", "cdr", vec![7; 3000])];
     entries.extend(planar_log());
     let mut bytes = write(&entries, small_chunks().compression(None));
-    // Spoil the camera's chunk: nobody asks for it.
+    // Corrupt the chunk of the camera, which the options do not use.
     let at = bytes.windows(100).position(|w| w == [7; 100]).unwrap();
     bytes[at + 50] = 8;
     let (scans, ingested) = ingest_bytes(&bytes, &options("/scan", Some("/pose"))).unwrap();
-    assert_eq!((scans.len(), ingested.dropped.is_empty()), (10, true));
+    assert_eq!((scans.len(), ingested.losses.is_empty()), (10, true));
 }
 
 #[test]
-fn altered_chunks_are_left_out_and_counted_in_every_compression() {
+fn altered_chunks_are_dropped_and_counted_in_every_compression() {
     for compression in [None, Some(Compression::Zstd), Some(Compression::Lz4)] {
         let entries: Vec<Entry> = planar_log().into_iter().filter(|e| e.0 == "/scan").collect();
         let whole =
@@ -99,28 +99,30 @@ fn altered_chunks_are_left_out_and_counted_in_every_compression() {
         bytes[last] ^= 0x10;
         let (scans, ingested) = ingest_bytes(&bytes, &options("/scan", None)).unwrap();
         assert_eq!(scans.len(), 9, "{compression:?}");
-        let found = reasons(&ingested.dropped);
-        assert_eq!(found.len(), 1);
-        assert!(found[0].0.starts_with("chunks ") && found[0].1 == 1, "{found:?}");
+        let found = codes(&ingested.losses);
+        let expected = ["chunk_crc_mismatch", "undecompressable_chunks", "chunk_length_mismatch"];
+        assert!(found.len() == 1 && found[0].1 == 1, "{found:?}");
+        assert!(expected.contains(&found[0].0), "{found:?}");
     }
 }
 
 #[test]
-fn a_chunk_that_claims_an_absurd_size_takes_no_memory() {
+fn a_chunk_that_claims_an_impossible_size_is_not_allocated() {
     let entries: Vec<Entry> = planar_log().into_iter().filter(|e| e.0 == "/scan").collect();
     let mut bytes = write(&entries, WriteOptions::new().chunk_size(Some(100)));
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
-    // opcode, length, start and end time stand before the uncompressed size.
+    // Opcode, length, start time and end time come before the uncompressed size.
     let at = summary.chunk_indexes[4].chunk_start_offset as usize + 9 + 16;
     bytes[at..at + 8].copy_from_slice(&(1u64 << 63).to_le_bytes());
     let (scans, ingested) = ingest_bytes(&bytes, &options("/scan", None)).unwrap();
     assert_eq!(scans.len(), 9);
-    assert_eq!(reasons(&ingested.dropped), [("chunks that claim more than 1073741824 bytes", 1)]);
+    assert_eq!(codes(&ingested.losses), [("oversized_chunks", 1)]);
 }
 
-/// At every cut: what is whole is kept and is a prefix of the whole log; the loss is counted.
+/// At every length, the complete scans are kept and equal the first scans of the intact log. The loss
+/// is counted.
 #[test]
-fn a_log_cut_at_any_byte_keeps_what_it_holds() {
+fn a_log_truncated_at_any_byte_keeps_its_complete_messages() {
     let options = options("/scan", Some("/pose"));
     for layout in [
         small_chunks(),
@@ -142,7 +144,7 @@ fn a_log_cut_at_any_byte_keeps_what_it_holds() {
                             .zip(0..)
                             .all(|(p, k): (&StampedPose, i64)| p.stamp_ns == k * 100_000_000)
                     );
-                    assert!(!ingested.dropped.is_empty(), "cut at {cut} is counted");
+                    assert!(!ingested.losses.is_empty(), "cut at {cut} is counted");
                     most = most.max(scans.len());
                 }
                 Err(
@@ -155,13 +157,13 @@ fn a_log_cut_at_any_byte_keeps_what_it_holds() {
                 Err(other) => panic!("cut at {cut}: {other}"),
             }
         }
-        assert_eq!(most, 10, "a log that lacks its footer alone keeps all");
+        assert_eq!(most, 10, "a log that lacks only its footer keeps all scans");
     }
 }
 
-/// An index that was altered could hide a chunk: it is not believed, and nothing is lost.
+/// An altered index could hide a chunk. It is not used, and nothing is lost.
 #[test]
-fn a_damaged_summary_hides_nothing() {
+fn a_damaged_summary_loses_no_data() {
     let whole = write(&planar_log(), small_chunks());
     let options = options("/scan", Some("/pose"));
     let expected = ingest_bytes(&whole, &options).unwrap().0;
@@ -171,22 +173,18 @@ fn a_damaged_summary_hides_nothing() {
         bytes[at] ^= 1;
         let (scans, ingested) = ingest_bytes(&bytes, &options).unwrap();
         assert_eq!(scans, expected, "byte {at}");
-        assert_eq!(
-            reasons(&ingested.dropped),
-            [("summaries that are damaged (the log was read without its index)", 1)],
-            "byte {at}"
-        );
+        assert_eq!(codes(&ingested.losses), [("damaged_summary", 1)], "byte {at}");
     }
 }
 
-/// The messages of the chunk that the end of the file cuts are kept too.
+/// Complete messages of a chunk that the end of the file cuts off are kept.
 #[test]
-fn a_cut_chunk_gives_its_complete_messages() {
+fn a_truncated_chunk_gives_its_complete_messages() {
     let whole = write(&packet_log(Encoding::Cdr), WriteOptions::new().compression(None));
     let (scans, ingested) = ingest_bytes(&whole[..300_000], &options("/packets", None)).unwrap();
-    // Two whole messages, 200 packets of 12 firings: one turn and a part.
+    // Two complete messages, 200 packets of 12 firings: one revolution and a part.
     assert_eq!((scans.len(), ingested.n_partial_revolutions), (1, 1));
-    assert_eq!(ingested.dropped.iter().count(), 1);
+    assert_eq!(ingested.losses.iter().count(), 1);
 }
 
 #[test]
@@ -212,7 +210,7 @@ fn random_damage_never_panics() {
 }
 
 #[test]
-fn a_wrong_topic_names_those_that_would_do() {
+fn a_wrong_topic_is_an_error_that_lists_suitable_topics() {
     let message = error(&planar_log(), "/velodyne_points", None);
     assert!(message.contains("drive.mcap has no topic `/velodyne_points`"), "{message}");
     assert!(
@@ -226,17 +224,19 @@ fn a_wrong_topic_names_those_that_would_do() {
     let camera = [("/camera", "sensor_msgs/msg/Image", "cdr", vec![1])];
     let message = error(&camera, "/scan", None);
     assert!(
-        message.contains("none would do; the log has `/camera` (sensor_msgs/msg/Image, cdr)"),
+        message.contains(
+            "no topic of the log has a suitable type; its topics are `/camera` (sensor_msgs/msg/Image, cdr)"
+        ),
         "{message}"
     );
 }
 
 #[test]
-fn a_wrong_type_or_encoding_is_named() {
+fn a_wrong_type_or_encoding_is_an_error_that_names_it() {
     let message = error(&planar_log(), "/pose", None);
     assert!(
         message.contains(
-            "`/pose` holds `geometry_msgs/msg/PoseStamped, cdr`, expected `VelodyneScan`"
+            "`/pose` contains `geometry_msgs/msg/PoseStamped, cdr`, expected `VelodyneScan`"
         ),
         "{message}"
     );
@@ -246,22 +246,22 @@ fn a_wrong_type_or_encoding_is_named() {
     assert!(error(&bare, "/scan", None).contains("`no schema, cdr`"));
 }
 
-/// A second channel of the topic, without a schema, costs its own messages alone.
+/// A second channel of the topic without a schema loses only its own messages.
 #[test]
-fn a_channel_that_does_not_fit_is_counted() {
+fn messages_in_a_channel_of_another_type_are_counted() {
     let mut entries = planar_log();
     entries.push(("/scan", "", "cdr", vec![0, 1, 0, 0]));
     let (scans, ingested) =
         ingest_bytes(&write(&entries, small_chunks()), &options("/scan", None)).unwrap();
     assert_eq!(scans.len(), 10);
     assert_eq!(
-        reasons(&ingested.dropped),
-        [("messages of /scan in a channel of no schema, cdr", 1)]
+        ingested.losses.to_string(),
+        "1 message of another type (no schema, cdr) (topic `/scan`)"
     );
 }
 
 #[test]
-fn a_scan_whose_angles_are_no_numbers_is_counted() {
+fn a_scan_with_nan_angles_is_counted() {
     let mut entries = planar_log();
     let scan = LaserScan {
         stamp_ns: 5,
@@ -276,13 +276,11 @@ fn a_scan_whose_angles_are_no_numbers_is_counted() {
     let (scans, ingested) =
         ingest_bytes(&write(&entries, small_chunks()), &options("/scan", None)).unwrap();
     assert_eq!(scans.len(), 9);
-    let expected =
-        "messages of /scan that do not decode as LaserScan (an angle that is not finite)";
-    assert_eq!(reasons(&ingested.dropped), [(expected, 1)]);
+    assert_eq!(codes(&ingested.losses), [("undecodable_messages", 1)]);
 }
 
 #[test]
-fn messages_that_do_not_decode_are_counted() {
+fn undecodable_messages_are_counted() {
     let mut entries = planar_log();
     entries[4].3.truncate(30); // a scan
     entries[5].3.truncate(30); // a pose
@@ -290,11 +288,9 @@ fn messages_that_do_not_decode_are_counted() {
         ingest_bytes(&write(&entries, small_chunks()), &options("/scan", Some("/pose"))).unwrap();
     assert_eq!((scans.len(), ingested.trajectory.poses().len()), (9, 9));
     assert_eq!(
-        reasons(&ingested.dropped),
-        [
-            ("messages of /pose that do not decode as PoseStamped (malformed)", 1),
-            ("messages of /scan that do not decode as LaserScan (malformed)", 1)
-        ]
+        ingested.losses.to_string(),
+        "1 message that could not be decoded as LaserScan (malformed) (topic `/scan`), \
+         1 message that could not be decoded as PoseStamped (malformed) (topic `/pose`)"
     );
 }
 
@@ -306,33 +302,34 @@ fn no_poses_and_no_scans_are_errors() {
     }
     let message = error(&entries, "/scan", Some("/pose"));
     assert!(
-        message.contains("topic `/pose` holds no usable pose (dropped: 10 messages"),
+        message.contains("topic `/pose` has no usable pose (dropped: 10 messages"),
         "{message}"
     );
-    let part_of_a_turn: Vec<Entry> = packet_log(Encoding::Cdr).drain(..1).collect();
-    let message = error(&part_of_a_turn, "/packets", None);
+    let part_of_a_revolution: Vec<Entry> = packet_log(Encoding::Cdr).drain(..1).collect();
+    let message = error(&part_of_a_revolution, "/packets", None);
     assert!(
-        message.contains("`/packets` gives no scan: its packets span less than one turn"),
+        message
+            .contains("`/packets` gives no scan: its packets do not cover a complete revolution"),
         "{message}"
     );
 }
 
 #[test]
-fn what_is_no_log_is_refused() {
-    for (bytes, says) in [
+fn a_file_that_is_not_mcap_is_an_error() {
+    for (bytes, expected) in [
         (&b""[..], "drive.mcap is empty"),
-        (b"#ROSBAG V2.0", "is no MCAP log: it starts with 23 52 4f 53"),
+        (b"#ROSBAG V2.0", "is not an MCAP file: it starts with 23 52 4f 53"),
     ] {
         let message = ingest_bytes(bytes, &options("/scan", None)).unwrap_err().to_string();
-        assert!(message.contains(says), "{message}");
+        assert!(message.contains(expected), "{message}");
     }
     let missing = ingest_file(Path::new("no/such.mcap"), &options("/scan", None)).unwrap_err();
     assert_eq!(missing.to_string(), "cannot read no/such.mcap");
 }
 
 #[test]
-fn another_sensor_is_refused_by_name() {
-    // A VLP-16 whose product byte says HDL-32E: its packets come every 1327 us.
+fn another_sensor_is_an_error_that_names_it() {
+    // A VLP-16 whose product byte says HDL-32E. It sends a packet every 1327 us.
     let packets: Vec<_> = (0..300u32)
         .map(|k| {
             let azimuths = std::array::from_fn(|b| ((480 * k + 40 * b as u32) % 36_000) as u16);

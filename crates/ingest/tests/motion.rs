@@ -209,10 +209,7 @@ fn the_position_of_the_poses_in_the_file_does_not_matter() {
         for writing in [small_chunks(), small_chunks().use_chunks(false)] {
             let (scans, ingested) = ingest_bytes(&write(entries, writing), &options).unwrap();
             assert_eq!(scans, expected);
-            assert_eq!(
-                (ingested.trajectory.poses().len(), ingested.losses.is_empty()),
-                (25, true)
-            );
+            assert_eq!((ingested.trajectory.poses().len(), ingested.losses.is_empty()), (25, true));
         }
     }
 }

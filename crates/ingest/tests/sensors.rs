@@ -1,32 +1,29 @@
-//! What each sensor and each option gives, on logs made in memory; expected values are worked out
-//! by hand.
+//! Tests of each sensor and each option on logs made in memory. Expected values are computed by hand.
 
 mod common;
 
 use std::borrow::Cow;
 use std::io::Cursor;
 
-use common::{
-    Entry, ingest_bytes, ingest_files, options, planar_log, reasons, small_chunks, write,
-};
-use dataset::Scan;
+use common::{Entry, codes, ingest_bytes, ingest_files, options, planar_log, small_chunks, write};
+use dataset::{Note, NoteKind, Scan};
 use ingest::{Clock, IngestError, Ingested, LidarOptions, Options};
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
 use messages::hdl32e::{BLOCKS, HOUR_US, LASERS, PACKET_BYTES, PacketBuilder, ReturnMode};
 use messages::{Encoding, PointCloud, PointField, Scalar, ros};
 
-// A sensor that turns by 0.2 deg a firing: 1800 firings or 150 packets a turn. It starts at azimuth
-// 0, so that the first turn is whole.
+// A sensor that spins by 0.2 deg per firing: 1800 firings or 150 packets per revolution. It starts at
+// azimuth 0, so the first revolution is complete.
 const STEP: u32 = 20;
-const PER_TURN: usize = 150;
+const PACKETS_PER_REVOLUTION: usize = 150;
 /// The top of an hour \[ns since the epoch\].
 const START_NS: i64 = 400_000 * 3_600_000_000_000;
 
-/// A packet: its stamp \[ns\] and its bytes.
+/// Stamp \[ns\] and bytes of a packet.
 type Stamped = (i64, [u8; PACKET_BYTES]);
 
-/// A stream of packets: the distance \[2 mm\] is told for firing and laser.
+/// A stream of packets with the distance \[2 mm\] as a function of firing and laser.
 fn stream(n: usize, distance: impl Fn(usize, usize) -> u16) -> Vec<Stamped> {
     let packet = |k: usize| {
         let azimuths = std::array::from_fn(|b| ((STEP * (k * BLOCKS + b) as u32) % 36_000) as u16);
@@ -41,7 +38,7 @@ fn stream(n: usize, distance: impl Fn(usize, usize) -> u16) -> Vec<Stamped> {
     (0..n).map(packet).collect()
 }
 
-/// Of a sensor on GPS time: the start of the packet, past the hour.
+/// Device clock of a sensor on GPS time: the start of the packet, past the hour \[us\].
 fn device_us(k: usize) -> u32 {
     (k * 55_296 / 100) as u32
 }
@@ -50,7 +47,7 @@ fn set_device_us(packet: &mut Stamped, us: u32) {
     packet.1[1200..1204].copy_from_slice(&us.to_le_bytes());
 }
 
-/// 10 m all around, from every laser.
+/// Every laser measures 10 m in all directions.
 fn around(n: usize) -> Vec<Stamped> {
     stream(n, |_, _| 5000)
 }
@@ -63,9 +60,9 @@ fn packets_log(packets: &[Stamped]) -> Vec<Entry> {
         .collect()
 }
 
-type Found = Result<(Vec<Scan>, Ingested), IngestError>;
+type Output = Result<(Vec<Scan>, Ingested), IngestError>;
 
-fn ingest(entries: &[Entry], mut lidar: LidarOptions) -> Found {
+fn ingest(entries: &[Entry], mut lidar: LidarOptions) -> Output {
     lidar.topic = entries[0].0.to_owned();
     lidar.check().unwrap();
     ingest_bytes(&write(entries, small_chunks()), &Options { lidar, pose: None })
@@ -75,11 +72,15 @@ fn scans(packets: &[Stamped], lidar: LidarOptions) -> (Vec<Scan>, Ingested) {
     ingest(&packets_log(packets), lidar).unwrap()
 }
 
-fn says(found: Found, texts: &[&str]) {
-    let message = found.unwrap_err().to_string();
+fn assert_error(output: Output, texts: &[&str]) {
+    let message = output.unwrap_err().to_string();
     for text in texts {
         assert!(message.contains(text), "`{text}` is not in: {message}");
     }
+}
+
+fn kinds(ingested: &Ingested) -> Vec<&NoteKind> {
+    ingested.notes.iter().map(|note: &Note| &note.kind).collect()
 }
 
 fn default() -> LidarOptions {
@@ -93,32 +94,33 @@ fn close(a: f32, b: f64) -> bool {
 // Beams ------------------------------------------------------------------------------------------
 
 #[test]
-fn a_dead_laser_is_named_with_those_alive() {
+fn a_laser_without_returns_is_an_error_that_lists_the_others() {
     let horizontal_dead =
         stream(310, |_, laser| [0, 700][usize::from([14, 16, 31].contains(&laser))]);
-    says(
+    assert_error(
         ingest(&packets_log(&horizontal_dead), default()),
         &[
-            "laser 15 (firing order; 0.00 deg) of topic `/packets` has no return in any of 3600 firings",
-            "set `ingest.lidar.laser` to another (with returns: 14, 16, 31)",
+            "laser 15 (in firing order, 0.00 deg) of topic `/packets` has no return in 3600 firings",
+            "set `ingest.lidar.laser` to a laser with returns (14, 16, 31)",
         ],
     );
-    // As in the real capture: laser 11, and it is chosen by its ring.
+    // Laser 11 is dead, as in the real capture. It is selected by its ring.
     let dead_11 = stream(310, |_, laser| if laser == 11 { 0 } else { 700 });
-    says(
+    assert_error(
         ingest(&packets_log(&dead_11), LidarOptions { ring: Some(21), ..default() }),
-        &["laser 11 (firing order; -2.67 deg)", "(with returns: 0-10, 12-31)"],
+        &["laser 11 (in firing order, -2.67 deg)", "a laser with returns (0-10, 12-31)"],
     );
     let (found, ingested) = scans(&dead_11, default());
-    assert_eq!((found.len(), ingested.dropped.is_empty()), (2, true));
-    assert_eq!(ingested.notes.last().unwrap(), "31 of 32 lasers seen to return; none seen from 11");
+    assert_eq!((found.len(), ingested.losses.is_empty()), (2, true));
+    let (n_returning, n_lasers) = (31, 32);
+    let silent = NoteKind::SilentLasers { n_returning, n_lasers, silent: "11".to_owned() };
+    assert_eq!(kinds(&ingested).last().unwrap(), &&silent);
 }
 
-/// Of 10 m at elevation e, 10 cos e lie in the plane: cos 30.667 deg = 0.860149, cos 9.333 deg =
-/// 0.986762, cos 10.667 deg = 0.982721. Laser k fires k x 1.152 us and k/40 x 0.2 deg into its
-/// block.
+/// A range of 10 m at elevation e is 10 cos e in the plane: cos 30.667 deg = 0.860149, cos 9.333 deg =
+/// 0.986762, cos 10.667 deg = 0.982721. Laser k fires k x 1.152 us and k/40 x 0.2 deg into its block.
 #[test]
-fn laser_ring_and_elevation_name_the_same_beam() {
+fn laser_ring_and_elevation_select_the_same_beam() {
     let packets = stream(310, |_, laser| 5000 + laser as u16);
     for (laser, ring, elevation_deg, cosine) in [
         (0, 0, -30.67, 0.860_149),
@@ -140,7 +142,7 @@ fn laser_ring_and_elevation_name_the_same_beam() {
         let azimuth = (f64::from(laser) / 40.0 * 0.2f64).to_radians();
         assert!(close(scan.x_m[0], planar_m * azimuth.cos()), "{laser}: {}", scan.x_m[0]);
         assert!(close(scan.y_m[0], -planar_m * azimuth.sin()), "{laser}: {}", scan.y_m[0]);
-        // A quarter turn on, to the right.
+        // A quarter of a revolution later, to the right.
         assert!(close(scan.y_m[450], -planar_m * azimuth.cos()), "{laser}: {}", scan.y_m[450]);
     }
     assert_eq!(
@@ -150,39 +152,38 @@ fn laser_ring_and_elevation_name_the_same_beam() {
 }
 
 #[test]
-fn a_beam_that_is_not_there_lists_those_that_are() {
+fn a_missing_beam_is_an_error_that_lists_the_beams() {
     let packets = packets_log(&around(160));
-    says(
+    assert_error(
         ingest(&packets, LidarOptions { ring: Some(32), ..default() }),
         &[
-            "has rings 0 to 31 at -30.67, -29.33, ",
+            "has no ring 32, it has rings 0 to 31 at -30.67, -29.33, ",
             ", 0.00, ",
-            ", 10.67 deg, asked for was ring 32; set one of `ingest.lidar.ring`",
+            ", 10.67 deg; set one of `ingest.lidar.ring`",
         ],
     );
     let elevation_deg = Some(11.4);
-    says(
+    assert_error(
         ingest(&packets, LidarOptions { elevation_deg, ..default() }),
-        &["asked for was a beam at 11.4 deg"],
+        &["has no beam at 11.4 deg"],
     );
 
-    let clouds = cloud_log(&[turn(&RINGS)]);
-    let rings = "topic `/points` has the rings 0 at -10.00 deg, 1 at 0.00 deg, 2 at 10.00 deg, asked for was ";
-    for (asked, lidar) in [
-        ("ring 3;", LidarOptions { ring: Some(3), ..default() }),
-        ("a beam at 4.00 deg;", LidarOptions { elevation_deg: Some(4.0), ..default() }),
-        (
-            "laser 15 (which counts in packets; clouds count in rings);",
-            LidarOptions { laser: Some(15), ..default() },
-        ),
+    let clouds = cloud_log(&[revolution(&RINGS)]);
+    let rings = "it has rings 0 at -10.00 deg, 1 at 0.00 deg, 2 at 10.00 deg;";
+    for (requested, lidar) in [
+        ("ring 3", LidarOptions { ring: Some(3), ..default() }),
+        ("beam at 4.00 deg", LidarOptions { elevation_deg: Some(4.0), ..default() }),
+        ("laser 15 (only packets have lasers)", LidarOptions { laser: Some(15), ..default() }),
     ] {
-        says(ingest(&clouds, lidar), &[&format!("{rings}{asked}")]);
+        let expected = format!("topic `/points` has no {requested}, {rings}");
+        assert_error(ingest(&clouds, lidar), &[&expected]);
     }
-    // Without a horizontal beam (a VLP-16 has its two middle ones at 1 deg) it has to be named.
-    let slanted = cloud_log(&[turn(&[-1.0, 1.0])]);
-    says(
+    // Without a horizontal beam, the options must select one. The two middle beams of a VLP-16 are at
+    // -1 and 1 deg.
+    let slanted = cloud_log(&[revolution(&[-1.0, 1.0])]);
+    assert_error(
         ingest(&slanted, default()),
-        &["has the rings 0 at -1.00 deg, 1 at 1.00 deg, asked for was a beam at 0.00 deg"],
+        &["has no beam at 0.00 deg, it has rings 0 at -1.00 deg, 1 at 1.00 deg;"],
     );
     assert_eq!(
         ingest(&slanted, LidarOptions { ring: Some(1), ..default() }).unwrap().0[0].len(),
@@ -192,15 +193,15 @@ fn a_beam_that_is_not_there_lists_those_that_are() {
 
 // Clouds -----------------------------------------------------------------------------------------
 
-/// Elevations of the rings of a made-up sensor \[deg\].
+/// Elevations of the rings of a fictitious sensor \[deg\].
 const RINGS: [f64; 3] = [-10.0, 0.0, 10.0];
 
 /// x, y, z \[m\] and ring.
 type Point = ([f32; 3], u16);
 
-/// A turn clockwise from straight ahead in steps of 1 deg, all rings at each step; ring k returns
-/// from a cylinder of 10 + k m.
-fn turn(elevations_deg: &[f64]) -> Vec<Point> {
+/// A revolution clockwise from straight ahead in steps of 1 deg, with all rings at each step. Ring k
+/// measures a cylinder of radius 10 + k m.
+fn revolution(elevations_deg: &[f64]) -> Vec<Point> {
     let of_step = |step: u32| {
         elevations_deg.iter().enumerate().map(move |(ring, elevation_deg)| {
             let radius_m = 10.0 + ring as f64;
@@ -215,7 +216,7 @@ fn turn(elevations_deg: &[f64]) -> Vec<Point> {
 const FIELDS: [(&str, Scalar); 4] =
     [("x", Scalar::F32), ("y", Scalar::F32), ("z", Scalar::F32), ("ring", Scalar::U16)];
 
-/// A cloud whose points consist of x, y, z, ring and a time, under the names of `fields`.
+/// A cloud of points with x, y, z, ring and time. `fields` gives the names.
 fn cloud(points: &[Point], fields: &[(&str, Scalar)], time: f64) -> Entry {
     let mut data = Vec::new();
     for ([x, y, z], ring) in points {
@@ -248,21 +249,22 @@ fn cloud_log(clouds: &[Vec<Point>]) -> Vec<Entry> {
 
 #[test]
 fn a_cloud_gives_its_horizontal_ring() {
-    let (found, ingested) = ingest(&cloud_log(&[turn(&RINGS)]), default()).unwrap();
-    assert_eq!((found.len(), ingested.notes.len(), ingested.dropped.is_empty()), (1, 0, true));
+    let (found, ingested) = ingest(&cloud_log(&[revolution(&RINGS)]), default()).unwrap();
+    assert_eq!((found.len(), ingested.notes.len(), ingested.losses.is_empty()), (1, 0, true));
     let scan = &found[0];
     assert_eq!((scan.len(), scan.stamp_ns, scan.hole_deg), (360, START_NS, 0.0));
     assert!(close(scan.coverage_deg, 359.0), "{}", scan.coverage_deg);
     assert!(close(scan.x_m[0], 11.0) && close(scan.y_m[90], -11.0));
     let slanted = LidarOptions { elevation_deg: Some(-9.5), ..default() };
-    let (found, _) = ingest(&cloud_log(&[turn(&RINGS)]), slanted).unwrap();
-    assert!(close(found[0].x_m[0], 10.0), "its share in the plane is its x");
+    let (found, _) = ingest(&cloud_log(&[revolution(&RINGS)]), slanted).unwrap();
+    assert!(close(found[0].x_m[0], 10.0), "the projection of the slanted range is x");
 }
 
-/// As drivers make them that cut by number of packets: from 40 deg on, and to 60 deg of the next.
+/// Drivers that split by number of packets make such clouds: from 40 deg on, and up to 60 deg of the
+/// next revolution.
 #[test]
-fn of_a_cloud_of_more_than_a_turn_the_first_turn_is_taken() {
-    let whole = turn(&RINGS);
+fn a_cloud_of_more_than_one_revolution_gives_the_first() {
+    let whole = revolution(&RINGS);
     let less = whole[40 * RINGS.len()..].to_vec();
     let more = [&whole[..], &whole[..61 * RINGS.len()]].concat();
     let twice = [&whole[..], &whole[..]].concat();
@@ -271,28 +273,27 @@ fn of_a_cloud_of_more_than_a_turn_the_first_turn_is_taken() {
     assert!(close(found[0].coverage_deg, 319.0) && !found[0].is_ring());
     assert!(close(found[1].coverage_deg, 359.0) && found[1].is_ring());
     assert_eq!(found[2], found[1]);
-    let reason = "returns beyond one turn of their cloud";
-    assert_eq!(reasons(&ingested.dropped), [(reason, 61 + 360)]);
+    assert_eq!(codes(&ingested.losses), [("returns_beyond_revolution", 61 + 360)]);
     assert!(ingested.notes.is_empty());
 }
 
 #[test]
-fn a_cloud_without_a_ring_names_the_fields_there_are() {
-    let bare = cloud(&turn(&RINGS), &[&FIELDS[..3], &[("intensity", Scalar::F32)]].concat(), 0.0);
-    let reason = "messages of /points that do not decode as PointCloud2 (no field `ring`; there are x, y, z, intensity)";
-    says(
+fn a_cloud_without_a_ring_field_is_counted_with_its_fields() {
+    let bare =
+        cloud(&revolution(&RINGS), &[&FIELDS[..3], &[("intensity", Scalar::F32)]].concat(), 0.0);
+    assert_error(
         ingest(std::slice::from_ref(&bare), default()),
-        &["`/points` gives no scan", &format!("1 {reason}")],
+        &["`/points` gives no scan", "1 message that could not be decoded as PointCloud2"],
     );
-    let mut mixed = cloud_log(&[turn(&RINGS)]);
+    let mut mixed = cloud_log(&[revolution(&RINGS)]);
     mixed.push(bare);
     let (found, ingested) = ingest(&mixed, default()).unwrap();
-    assert_eq!((found.len(), reasons(&ingested.dropped)), (1, vec![(reason, 1)]));
+    assert_eq!((found.len(), codes(&ingested.losses)), (1, vec![("undecodable_messages", 1)]));
 }
 
 #[test]
-fn points_in_no_order_are_sorted_and_that_is_told() {
-    let in_order = turn(&RINGS);
+fn unordered_points_are_sorted_and_noted() {
+    let in_order = revolution(&RINGS);
     let mut shuffled = in_order.clone();
     let mut state = 2436u64;
     for k in (1..shuffled.len()).rev() {
@@ -303,42 +304,40 @@ fn points_in_no_order_are_sorted_and_that_is_told() {
     let (found, ingested) = ingest(&cloud_log(&[in_order, shuffled]), default()).unwrap();
     assert_eq!(found[0], expected[0]);
     assert_eq!(found[1], expected[0]);
-    assert_eq!(
-        ingested.notes,
-        ["1 clouds have their points in no firing order; they were sorted by azimuth"]
-    );
-    assert!(ingested.dropped.is_empty());
+    assert_eq!(kinds(&ingested), [&NoteKind::CloudsSorted { n_clouds: 1 }]);
+    assert!(ingested.losses.is_empty());
 }
 
 #[test]
 fn clouds_without_returns_at_the_start_do_not_hide_the_rings() {
     let mut clouds = vec![Vec::new(); 12];
-    // Then the horizontal beam sees nothing for a while.
-    let slanted: Vec<Point> = turn(&RINGS).into_iter().filter(|(_, ring)| *ring != 1).collect();
+    // Then the horizontal beam has no returns for some clouds.
+    let slanted: Vec<Point> =
+        revolution(&RINGS).into_iter().filter(|(_, ring)| *ring != 1).collect();
     clouds.extend(vec![slanted; 12]);
-    clouds.push(turn(&RINGS));
+    clouds.push(revolution(&RINGS));
     let (found, _) = ingest(&cloud_log(&clouds), default()).unwrap();
     assert_eq!(found.iter().map(Scan::len).collect::<Vec<_>>(), [vec![0; 24], vec![360]].concat());
 }
 
 #[test]
-fn point_times_of_another_clock_are_not_believed() {
-    // Since start-up, since another day, in nanoseconds; then 50 ms after the stamp.
-    let note = "1 clouds have point times more than 1 s from their stamp; the stamp was taken";
+fn point_times_from_another_clock_are_ignored() {
+    // Times since start-up, of another day, in nanoseconds. Then 50 ms after the stamp.
     for (seconds, after_ns) in [(0.05, 0), (1.4e9, 0), (1.44e18, 0), (1.44e9 + 0.05, 50_000_000)] {
         let fields = [&FIELDS[..], &[("timestamp", Scalar::F64)]].concat();
-        let log = [cloud(&turn(&RINGS), &fields, seconds)];
+        let log = [cloud(&revolution(&RINGS), &fields, seconds)];
         let (found, ingested) = ingest(&log, default()).unwrap();
-        // Seconds since the epoch are told to 240 ns by an f64.
+        // An f64 has a resolution of 240 ns for seconds since the epoch.
         let error_ns = found[0].stamp_ns - START_NS - after_ns;
         assert!(error_ns.abs() <= 240, "{seconds}: {error_ns} ns");
-        assert_eq!(ingested.notes, if after_ns == 0 { vec![note] } else { vec![] });
+        let ignored = NoteKind::CloudTimesIgnored { n_clouds: 1 };
+        assert_eq!(kinds(&ingested), if after_ns == 0 { vec![&ignored] } else { vec![] });
     }
 }
 
 // Returns ----------------------------------------------------------------------------------------
 
-/// Two blocks for each firing: `last` \[2 mm\] with intensity 50 and `strongest` with 90.
+/// Packets with two blocks per firing: `last` \[2 mm\] with intensity 50 and `strongest` with 90.
 fn dual(n: usize, last: u16, strongest: u16, strongest_first: bool) -> Vec<Stamped> {
     let packet = |k: usize| {
         let azimuths = std::array::from_fn(|b| ((STEP * (6 * k + b / 2) as u32) % 36_000) as u16);
@@ -357,17 +356,17 @@ fn dual(n: usize, last: u16, strongest: u16, strongest_first: bool) -> Vec<Stamp
 }
 
 #[test]
-fn of_two_returns_the_stronger_makes_the_scan_in_either_order() {
+fn dual_return_packets_give_the_stronger_return_in_either_order() {
     let (single, _) = scans(&stream(310, |_, laser| if laser == 15 { 700 } else { 0 }), default());
     for strongest_first in [false, true] {
         let (found, ingested) = scans(&dual(620, 900, 700, strongest_first), default());
         assert_eq!(found, single);
-        assert!(ingested.dropped.is_empty());
+        assert!(ingested.losses.is_empty());
     }
 }
 
 #[test]
-fn limits_are_of_the_range_and_inclusive() {
+fn range_limits_are_inclusive_and_apply_to_the_slanted_range() {
     // 0.9 m and 70 m are 450 and 35,000 counts.
     let distances = [449, 450, 35_000, 35_001, 0];
     let packets = stream(310, |firing, _| distances[firing % 5]);
@@ -377,19 +376,19 @@ fn limits_are_of_the_range_and_inclusive() {
     let found = ranges(&found[0]);
     assert_eq!(found.len(), 720);
     assert!(found.chunks(2).all(|pair| close(pair[0], 0.9) && close(pair[1], 70.0)));
-    // They hold for the slanted range: 69.5 m at -30.67 deg are 59.8 m in the plane.
+    // The limits apply to the slanted range: 69.5 m at -30.67 deg are 59.8 m in the plane.
     let slanted = LidarOptions { laser: Some(0), range_max_m: 69.0, range_min_m: 0.0, ..default() };
     let (found, _) = scans(&stream(310, |firing, _| [34_500, 34_501][firing % 2]), slanted.clone());
     assert_eq!(found[0].len(), 900, "69 m is kept, 69.002 m is not");
-    // Of clouds and planar scans, which are of f32, too.
+    // The same for clouds and planar scans, which use f32.
     let ahead: Vec<Point> =
         [0.899_999_9, 0.9, 70.0, 70.000_01].iter().map(|x| ([*x, 0.0, 0.0], 0)).collect();
     let (found, _) = ingest(&cloud_log(&[ahead]), default()).unwrap();
     assert_eq!(found[0].x_m, [0.9, 70.0]);
     let far = LidarOptions { range_min_m: 20.0, ..default() };
-    let (found, _) = ingest(&cloud_log(&[turn(&RINGS)]), far).unwrap();
+    let (found, _) = ingest(&cloud_log(&[revolution(&RINGS)]), far).unwrap();
     assert_eq!(found[0].len(), 0);
-    assert!(close(found[0].coverage_deg, 359.0), "what was swept does not depend on it");
+    assert!(close(found[0].coverage_deg, 359.0), "the coverage does not depend on the limits");
     let planar: Vec<Entry> = planar_log().into_iter().take(1).collect(); // 1, 2, ... 7 m
     let (found, _) =
         ingest(&planar, LidarOptions { range_min_m: 2.0, range_max_m: 5.0, ..default() }).unwrap();
@@ -403,7 +402,7 @@ fn limits_are_of_the_range_and_inclusive() {
 fn upside_down_mirrors_scans_of_every_kind() {
     let packets = packets_log(&stream(310, |firing, _| 1000 + (firing % 1800) as u16));
     let planar: Vec<Entry> = planar_log().into_iter().step_by(2).collect();
-    for log in [packets, cloud_log(&[turn(&RINGS)]), planar] {
+    for log in [packets, cloud_log(&[revolution(&RINGS)]), planar] {
         let (upright, _) = ingest(&log, default()).unwrap();
         let (hanging, _) = ingest(&log, LidarOptions { upside_down: true, ..default() }).unwrap();
         assert_eq!(upright.len(), hanging.len());
@@ -418,9 +417,9 @@ fn upside_down_mirrors_scans_of_every_kind() {
 // Other sensors ----------------------------------------------------------------------------------
 
 #[test]
-fn other_velodynes_are_refused_by_name() {
-    // A VLP-16 whose product byte says HDL-32E and whose clock stands still: its stamps tell, a
-    // packet every 1327 us.
+fn other_velodyne_models_are_errors_that_name_the_model() {
+    // A VLP-16 whose product byte says HDL-32E and whose clock stands still. Its stamps show a packet
+    // every 1327 us.
     let mut vlp16 = around(300);
     for (k, packet) in vlp16.iter_mut().enumerate() {
         packet.0 = START_NS + k as i64 * 1_327_104;
@@ -428,24 +427,30 @@ fn other_velodynes_are_refused_by_name() {
     }
     let expected =
         "packets of a Velodyne VLP-16 (a packet every 1327 us), expected a Velodyne HDL-32E";
-    says(ingest(&packets_log(&vlp16), default()), &[expected]);
-    // A VLP-32C, by the device clock: 663.552 us.
+    assert_error(ingest(&packets_log(&vlp16), default()), &[expected]);
+    // A VLP-32C, identified by the device clock: a packet every 663.552 us.
     let mut vlp32c = around(300);
     for (k, packet) in vlp32c.iter_mut().enumerate() {
         set_device_us(packet, (k * 663_552 / 1000) as u32);
         packet.0 = START_NS + k as i64 * 663_552;
     }
-    says(ingest(&packets_log(&vlp32c), default()), &["Velodyne VLP-32C (a packet every 664 us)"]);
-    // Nothing but the product byte tells where clock and stamps stand still.
+    assert_error(
+        ingest(&packets_log(&vlp32c), default()),
+        &["Velodyne VLP-32C (a packet every 664 us)"],
+    );
+    // If the device clock and the stamps stand still, only the product byte identifies the model.
     let mut byte_alone = around(300);
     for packet in &mut byte_alone {
         set_device_us(packet, 7);
         packet.0 = START_NS;
         packet.1[1205] = 0x22;
     }
-    says(ingest(&packets_log(&byte_alone), default()), &["Velodyne VLP-16 (product byte 0x22)"]);
-    // The flags of a block's first two bytes: 0xDDFF is the lower half of an HDL-64E, a VLS-128 has
-    // four.
+    assert_error(
+        ingest(&packets_log(&byte_alone), default()),
+        &["Velodyne VLP-16 (product byte 0x22)"],
+    );
+    // The first two bytes of a block are a flag. 0xDDFF is the lower half of an HDL-64E. A VLS-128 has
+    // four different flags.
     for (high_bytes, name) in
         [([0xEE, 0xDD, 0xEE, 0xDD], "HDL-64E"), ([0xEE, 0xDD, 0xCC, 0xBB], "VLS-128 (Alpha Prime)")]
     {
@@ -454,14 +459,14 @@ fn other_velodynes_are_refused_by_name() {
             (0..BLOCKS).for_each(|block| bytes[100 * block + 1] = high_bytes[block % 4]);
         }
         let expected = format!("packets of a Velodyne {name} (by the flags of its blocks)");
-        says(ingest(&packets_log(&flagged), default()), &[&expected]);
+        assert_error(ingest(&packets_log(&flagged), default()), &[&expected]);
     }
 }
 
 // Time -------------------------------------------------------------------------------------------
 
 #[test]
-fn the_top_of_the_hour_passes_unseen() {
+fn the_device_clock_wraps_at_the_top_of_the_hour() {
     let plain = around(460);
     let mut across = plain.clone();
     for (k, packet) in across.iter_mut().enumerate() {
@@ -474,53 +479,55 @@ fn the_top_of_the_hour_passes_unseen() {
     }
 }
 
-/// The n-th turn starts 150 n packets of 552.96 us in; laser 15 fires 17.28 us into its block.
-fn due_ns(turn: usize) -> i64 {
-    START_NS + (PER_TURN * turn) as i64 * 552_960 + 17_280
+/// Revolution n starts after 150 n packets of 552.96 us. Laser 15 fires 17.28 us into its block.
+fn due_ns(revolution: usize) -> i64 {
+    START_NS + (PACKETS_PER_REVOLUTION * revolution) as i64 * 552_960 + 17_280
 }
 
 #[test]
-fn the_device_clock_takes_out_the_delays_of_the_network() {
-    // Every tenth packet comes at once, the others up to 9 ms late.
+fn the_device_clock_removes_network_delays() {
+    // Every tenth packet has no delay, the others up to 9 ms.
     let mut late = around(760);
     late.iter_mut()
         .enumerate()
         .for_each(|(k, packet)| packet.0 += 1_000_000 * ((k + 1) % 10) as i64);
     let errors = |clock| -> Vec<i64> {
         let (found, ingested) = scans(&late, LidarOptions { clock, ..default() });
-        assert_eq!((found.len(), ingested.dropped.is_empty()), (5, true));
-        found.iter().enumerate().map(|(turn, scan)| scan.stamp_ns - due_ns(turn)).collect()
+        assert_eq!((found.len(), ingested.losses.is_empty()), (5, true));
+        found.iter().enumerate().map(|(k, scan)| scan.stamp_ns - due_ns(k)).collect()
     };
     assert_eq!(errors(Clock::Host), [1_000_000; 5], "packets 0, 150, ... are 1 ms late");
-    // The first turn starts before a packet came at once; the device counts whole microseconds.
+    // The first revolution starts before the first packet without delay. The device counts whole
+    // microseconds.
     let device = errors(Clock::Device);
     assert!(device[1..].iter().all(|error| error.abs() <= 1000), "{device:?}");
 }
 
 #[test]
-fn on_gps_time_the_device_clock_is_the_time() {
+fn on_gps_time_the_device_clock_gives_the_time() {
     let mut late = around(460);
     late.iter_mut().for_each(|packet| packet.0 += 200_000_000);
     let gps = || LidarOptions { clock: Clock::Gps, ..default() };
     let (found, _) = scans(&late, gps());
-    for (turn, scan) in found.iter().enumerate() {
-        assert!((scan.stamp_ns - due_ns(turn)).abs() <= 1000, "{}", scan.stamp_ns - due_ns(turn));
+    for (k, scan) in found.iter().enumerate() {
+        assert!((scan.stamp_ns - due_ns(k)).abs() <= 1000, "{}", scan.stamp_ns - due_ns(k));
     }
     let mut free_running = around(460);
     free_running.iter_mut().for_each(|packet| packet.0 += 600_000_000_000);
-    says(
+    assert_error(
         ingest(&packets_log(&free_running), gps()),
         &[
-            "460 packets whose device clock is not on GPS time (more than 60 s from the stamps: set `ingest.lidar.clock` to \"host\" or \"device\")",
+            "460 packets whose device clock is not on GPS time (more than 60 s from the stamps; set `ingest.lidar.clock` to \"host\" or \"device\")",
         ],
     );
 }
 
 // Losses -----------------------------------------------------------------------------------------
 
-/// Three packets are 36 firings of 0.2 deg: a hole of 7.2 deg; one is 2.4 deg, which is not noted.
+/// Three packets are 36 firings of 0.2 deg: 7.2 deg without packets. One packet is 2.4 deg, which is
+/// below the limit of the note.
 #[test]
-fn holes_are_marked() {
+fn missing_packets_are_measured_as_an_angle() {
     let mut holed = around(460);
     holed.drain(200..203);
     holed.remove(20);
@@ -528,15 +535,15 @@ fn holes_are_marked() {
     let holes: Vec<f32> = found.iter().map(|scan| scan.hole_deg).collect();
     assert!(close(holes[0], 2.4) && close(holes[1], 7.2) && holes[2] == 0.0, "{holes:?}");
     assert_eq!(found.iter().map(Scan::len).collect::<Vec<_>>(), [1788, 1764, 1800]);
-    assert!(found.iter().all(Scan::is_ring), "whatever is missing");
-    assert!(ingested.dropped.is_empty());
-    let note = "4 packets missing; 1 scans have a hole of more than 5 deg (hole_deg)";
-    assert!(ingested.notes.iter().any(|said| said == note), "{:?}", ingested.notes);
+    assert!(found.iter().all(Scan::is_ring), "a gap does not make a scan a partial circle");
+    assert!(ingested.losses.is_empty());
+    let note = NoteKind::MissingPackets { n_packets: 4, n_scans: 1, min_hole_deg: 5.0 };
+    assert!(kinds(&ingested).contains(&&note), "{:?}", ingested.notes);
 }
 
 /// A quarter of 150 packets is 37.5.
 #[test]
-fn a_turn_of_which_too_much_is_missing_is_dropped_and_counted() {
+fn a_revolution_with_too_many_missing_packets_is_dropped_and_counted() {
     for (n_missing, max_missing_share, n_scans) in
         [(37, 0.25, 3), (38, 0.25, 2), (38, 0.5, 3), (1, 0.0, 2)]
     {
@@ -544,18 +551,16 @@ fn a_turn_of_which_too_much_is_missing_is_dropped_and_counted() {
         holed.drain(200..200 + n_missing);
         let (found, ingested) = scans(&holed, LidarOptions { max_missing_share, ..default() });
         assert_eq!(found.len(), n_scans, "{n_missing} of {max_missing_share}");
-        let share = max_missing_share * 100.0;
-        let reason = format!("turns of which more than {share} % are missing");
-        let expected = if n_scans == 3 { vec![] } else { vec![(reason.as_str(), 1)] };
-        assert_eq!(reasons(&ingested.dropped), expected);
+        let expected = if n_scans == 3 { vec![] } else { vec![("incomplete_revolutions", 1)] };
+        assert_eq!(codes(&ingested.losses), expected);
     }
 }
 
 // Split drives -----------------------------------------------------------------------------------
 
-/// As a recorder does that starts a new file in the middle of a turn; the files come in any order.
+/// A recorder starts a new file in the middle of a revolution. The files can be given in any order.
 #[test]
-fn a_drive_split_into_files_gives_the_same_as_one() {
+fn a_drive_in_several_files_gives_the_same_as_one_file() {
     let packets = packets_log(&around(760));
     let folder = tempfile::tempdir().unwrap();
     let write_part = |name: &str, range: std::ops::Range<usize>| {
@@ -584,15 +589,12 @@ fn a_drive_split_into_files_gives_the_same_as_one() {
     let parts = [("a.mcap", 13..packets.len()), ("b.mcap", 0..6), ("c.mcap", 6..13)];
     let parts = parts.map(|(name, range)| write_part(name, range));
     assert_eq!(ingest_files(&parts, &options).unwrap(), whole);
-    // A part that was lost, packets 240 to 519, leaves turn 0 (packets 0 to 149) and turn 4 (600 to
-    // 749) whole, parts of turns 1 and 3 and nothing of turn 2.
+    // Without the file with packets 240 to 519, revolution 0 (packets 0 to 149) and revolution 4 (600 to
+    // 749) are complete, revolutions 1 and 3 are partial, and revolution 2 is missing.
     let (found, ingested) = ingest_files(&parts[..2], &options).unwrap();
     assert_eq!([&found[0], &found[1]], [&whole.0[0], &whole.0[4]]);
     assert_eq!(
-        reasons(&ingested.dropped),
-        [
-            ("turns of which every packet is missing", 1),
-            ("turns of which more than 25 % are missing", 2)
-        ]
+        codes(&ingested.losses),
+        [("missing_revolutions", 1), ("incomplete_revolutions", 2)]
     );
 }

@@ -43,7 +43,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
     let progress = progress_bar(n_bytes as u64, format!("inspect {}", drive.name), true);
     let mut survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
     progress.finish_and_clear();
-    survey.dropped.merge(lost);
+    survey.losses.merge(lost);
     let fit = Fit::of(&survey, *track_m);
     let missing = fit.missing();
     let from = write.and_then(Path::parent);
@@ -89,7 +89,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
         }
         _ => {}
     }
-    Ok(survey.dropped)
+    Ok(survey.losses.into())
 }
 
 /// The one drive of a file or folder.

@@ -48,5 +48,5 @@ pub(crate) fn plot(file: &Path, name: &str, logs: &[Log], pipeline: &str) -> Res
     let trajectory = &ingested.trajectory;
     let (kept, _) = subsample::subsample(&config.subsample, &log, &log, &candidates, trajectory)?;
     write_file(file, evaluate::path_svg(name, trajectory.poses(), &kept).as_bytes())?;
-    Ok(ingested.notes)
+    Ok(ingested.notes.iter().map(ToString::to_string).collect())
 }

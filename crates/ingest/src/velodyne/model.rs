@@ -62,11 +62,6 @@ impl ModelEvidence {
             && self.first_packets.iter().all(|packet| packet.device_us == first.device_us)
             && first.azimuth != last.azimuth
     }
-
-    /// Packets of other layouts: model name and number, for each model.
-    pub(crate) fn foreign(&self) -> &BTreeMap<&'static str, u64> {
-        &self.foreign
-    }
 }
 
 /// Models: name, product byte, and packet period in single-return mode \[us\].

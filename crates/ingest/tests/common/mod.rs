@@ -1,6 +1,6 @@
-//! Logs made in memory with the `mcap` crate, and their scans.
+//! Makes logs in memory with the `mcap` crate, and ingests them.
 
-#![allow(dead_code, reason = "each test file uses a part")]
+#![allow(dead_code, reason = "each test file uses only some of this")]
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -8,7 +8,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use dataset::{Dropped, Scan};
+use dataset::{Losses, Scan};
 use ingest::{IngestError, Ingested, LidarOptions, Log, Options, PoseOptions};
 use mcap::{Channel, Message, Schema, WriteOptions};
 use messages::hdl32e::{BLOCKS, PACKET_PERIOD_NS, PacketBuilder};
@@ -53,7 +53,7 @@ pub fn planar_log() -> Vec<Entry> {
         .collect()
 }
 
-/// 2.5 turns of an HDL-32E that sees a wall at 3 to 9 m all around, in messages of 100 packets.
+/// 2.5 revolutions of an HDL-32E surrounded by a wall at 3 to 9 m, in messages of 100 packets.
 pub fn packet_log(encoding: Encoding) -> Vec<Entry> {
     let step = 17;
     let packets: Vec<_> = (0..440i64)
@@ -82,8 +82,8 @@ pub fn packet_log(encoding: Encoding) -> Vec<Entry> {
         .collect()
 }
 
-/// A little more than three turns of an HDL-32E that turns by 15 deg a block, two packets a turn,
-/// in messages of two packets.
+/// Slightly more than three revolutions of an HDL-32E that spins by 15 deg per block: two packets per
+/// revolution, in messages of two packets.
 pub fn coarse_packet_log(encoding: Encoding) -> Vec<Entry> {
     let packets: Vec<_> = (0..8i64)
         .map(|k| {
@@ -104,7 +104,7 @@ pub fn coarse_packet_log(encoding: Encoding) -> Vec<Entry> {
     packets.chunks(2).map(|packets| ("/packets", schema, name, write(packets))).collect()
 }
 
-/// Three clouds of two rings, of six points each, and three poses.
+/// Three clouds with two rings of six points each, and three poses.
 pub fn cloud_log(encoding: Encoding) -> Vec<Entry> {
     let field = |name: &str, offset, kind| PointField { name: name.to_owned(), offset, kind };
     let cloud = |k: i64| {
@@ -152,7 +152,7 @@ pub fn cloud_log(encoding: Encoding) -> Vec<Entry> {
         .collect()
 }
 
-/// `foxglove.PoseInFrame`, which nothing here writes.
+/// Writes a `foxglove.PoseInFrame` message, for which the `messages` crate has no writer.
 pub fn pose_in_frame(k: i64, encoding: Encoding) -> Vec<u8> {
     let nsec = k * 100_000_000;
     if encoding == Encoding::Json {
@@ -161,7 +161,7 @@ pub fn pose_in_frame(k: i64, encoding: Encoding) -> Vec<u8> {
         );
         return text.into_bytes();
     }
-    // Field numbers of `foxglove.PoseInFrame`; wire types 0 varint, 1 eight bytes, 2 counted.
+    // Field numbers of `foxglove.PoseInFrame`; wire types 0 varint, 1 eight bytes, 2 length-delimited.
     let part = |tag: u8, bytes: &[u8]| [&[tag << 3 | 2, bytes.len() as u8], bytes].concat();
     let number = |tag: u8, value: f64| [&[tag << 3 | 1], &value.to_le_bytes()[..]].concat();
     let mut time = vec![2 << 3];
@@ -175,7 +175,7 @@ pub fn pose_in_frame(k: i64, encoding: Encoding) -> Vec<u8> {
     [part(1, &time), part(2, b"map"), part(3, &pose)].concat()
 }
 
-/// Writes an MCAP file; an entry with an empty schema name gets a channel without schema.
+/// Writes an MCAP file. An entry with an empty schema name gets a channel without schema.
 pub fn write(entries: &[Entry], options: WriteOptions) -> Vec<u8> {
     let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
     let mut channels: BTreeMap<(&str, &str), Arc<Channel<'_>>> = BTreeMap::new();
@@ -183,7 +183,7 @@ pub fn write(entries: &[Entry], options: WriteOptions) -> Vec<u8> {
         let id = channels.len() as u16 + 1;
         let channel = channels.entry((topic, schema)).or_insert_with(|| {
             let schema = (!schema.is_empty()).then(|| {
-                // The text is left out: the name must do.
+                // The text is left out, because only the name is used.
                 Arc::new(Schema {
                     id,
                     name: (*schema).to_owned(),
@@ -254,8 +254,9 @@ pub fn ingest_logs(logs: &[Log], options: &Options) -> Result<(Vec<Scan>, Ingest
     Ok((scans, ingested))
 }
 
-pub fn reasons(dropped: &Dropped) -> Vec<(&str, u64)> {
-    dropped.iter().collect()
+/// Codes and counts of losses.
+pub fn codes(losses: &Losses) -> Vec<(&'static str, u64)> {
+    losses.iter().map(|(loss, n)| (loss.kind.code(), n)).collect()
 }
 
 pub fn error(entries: &[Entry], lidar: &str, pose: Option<&str>) -> String {

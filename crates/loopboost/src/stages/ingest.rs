@@ -1,7 +1,9 @@
+use std::path::Path;
+
 use anyhow::{Result, anyhow};
-use dataset::Dropped;
 use dataset::tables::scans::write_scans;
 use dataset::tables::{Provenance, write_poses};
+use dataset::{Dropped, Loss, LossKind, Losses, Subject};
 use ingest::{IngestError, Log, Options, PoseOptions};
 
 use crate::config::{LogOptions, usage};
@@ -116,12 +118,13 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
             let why = "are counted from its first satellite fix";
             return Err(own_frame(&file.name, why, &own, other, "origin"));
         }
-        ingested.dropped.merge(lost);
-        writer.set_dropped(ingested.dropped.clone());
+        ingested.losses.merge(lost);
+        writer.set_dropped(ingested.losses.clone().into());
         anyhow::Ok(ingested)
     })?;
     progress.finish_and_clear();
-    let provenance = Provenance { dropped: ingested.dropped.clone(), ..provenance };
+    let dropped = Dropped::from(ingested.losses);
+    let provenance = Provenance { dropped: dropped.clone(), ..provenance };
     write_poses(&poses, &provenance, &file.name, &ingested.trajectory)?;
     let n_poses = ingested.trajectory.poses().len();
     let mut said = format!("{}: {} scans, {n_poses} poses", file.name, ingested.n_scans);
@@ -132,19 +135,15 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
     for note in &ingested.notes {
         said.push_str(&format!("; {note}"));
     }
-    Ok(Done { outputs: vec![scans, poses], dropped: ingested.dropped, said: vec![said] })
+    Ok(Done { outputs: vec![scans, poses], dropped, said: vec![said] })
 }
 
-/// Opens the files of a drive. Of one that was split, a file that cannot be read is counted, as long
-/// as there is another.
-pub(crate) fn open(file: &LogFile) -> Result<(Vec<Log>, Dropped), IngestError> {
-    let mut lost = Dropped::default();
+/// Opens the files of a drive. If at least one can be read, the others are counted as losses.
+pub(crate) fn open(file: &LogFile) -> Result<(Vec<Log>, Losses), IngestError> {
+    let mut losses = Losses::default();
+    let subject = |path: &Path| Subject::file(path.display().to_string());
     for path in &file.missing {
-        let reason = format!(
-            "files of the drive that metadata.yaml lists and that are not there ({}; unpack it if it is compressed)",
-            path.display()
-        );
-        lost.add(reason, 1);
+        losses.add(Loss::new(LossKind::MissingDriveFile, subject(path)), 1);
     }
     let mut logs = Vec::new();
     let mut first_error = None;
@@ -152,13 +151,13 @@ pub(crate) fn open(file: &LogFile) -> Result<(Vec<Log>, Dropped), IngestError> {
         match Log::open(path) {
             Ok(log) => logs.push(log),
             Err(error) => {
-                lost.add(format!("files of the drive that cannot be read ({error})"), 1);
+                losses.add(Loss::new(LossKind::UnreadableDriveFile, subject(path)), 1);
                 first_error.get_or_insert(error);
             }
         }
     }
     match first_error {
         Some(error) if logs.is_empty() => Err(error),
-        _ => Ok((logs, lost)),
+        _ => Ok((logs, losses)),
     }
 }
