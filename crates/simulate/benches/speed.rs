@@ -1,6 +1,6 @@
-//! How many times faster than real time a drive is simulated: one HDL-32E, all lasers, 10 Hz.
+//! Measures how many times faster than real time a drive with one HDL-32E at 10 Hz is simulated.
 //!
-//! `cargo bench -p simulate --bench speed`, on as many threads as there are cores, or on
+//! Run it with `cargo bench -p simulate --bench speed`. It uses as many threads as there are cores, or
 //! `RAYON_NUM_THREADS`.
 
 use std::fs::File;
@@ -10,7 +10,7 @@ use std::time::Instant;
 use simulate::{Campus, Lasers, Options, write_drive};
 
 fn main() {
-    // Seconds driven; the second says whether time and memory grow in proportion.
+    // Two durations show whether time and memory grow in proportion to the length of the drive.
     for duration_s in [60.0, 600.0] {
         for (buildings, lasers) in [(1, Lasers::All), (7, Lasers::All), (7, Lasers::Three)] {
             let logs = vec!["drive".to_owned()];
@@ -38,7 +38,7 @@ fn main() {
     }
 }
 
-/// The process's own peak, where the system tells (Linux).
+/// Peak memory of this process, if the system reports it (Linux).
 fn peak_memory() -> String {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));

@@ -1,63 +1,66 @@
-//! What a beam meets: surfaces, people, floor and ceiling.
+//! Intersection of beams with surfaces, people, the floor and ceilings.
 
 use nalgebra::Vector3;
 
 use crate::people::{PERSON_HEIGHT_M, PERSON_RADIUS_M};
 use crate::plane::{Point, Vector, cross};
 use crate::random::Random;
-use crate::world::{Entry, Material, World, beyond, meet};
+use crate::world::{Entry, Material, World, ceiling_behind, intersect};
 
-/// Nothing beyond this returns (HDL-32E data sheet 97-0038: "80 m - 100 m") \[m\].
+/// Maximum range (HDL-32E data sheet 97-0038: "80 m - 100 m") \[m\].
 pub(crate) const MAX_RANGE_M: f64 = 100.0;
-/// Share of the beams that return from a pane; of those that meet it nearly square, as its own
-/// reflection comes back, nearly all do. Guesses.
-const GLASS_RETURNS: f64 = 0.06;
-const SQUARE_GLASS_RETURNS: f64 = 0.9;
-/// Cosine from which a beam meets a pane square: 1.5 deg.
-const SQUARE_COSINE: f64 = 0.999_66;
-/// Share of the beams into a crown that end there, and how deep at most \[m\]. Guesses.
+/// Fraction of the beams that return from glass at oblique incidence. A guess.
+const OBLIQUE_GLASS_RETURNS: f64 = 0.06;
+/// Fraction of the beams that return from glass at normal incidence, by specular reflection. A guess.
+const NORMAL_GLASS_RETURNS: f64 = 0.9;
+/// Cosine of the largest angle that counts as normal incidence: 1.5 deg.
+const NORMAL_COSINE: f64 = 0.999_66;
+/// Fraction of the beams into the crown of a tree that return from inside it. A guess.
 const FOLIAGE_RETURNS: f64 = 0.8;
+/// Largest depth inside the crown at which they return \[m\]. A guess.
 const FOLIAGE_DEPTH_M: f64 = 1.2;
-/// Half the width of a beam: about 3 mrad wide, a guess from the size of its spot \[rad\].
+/// Half the divergence of a beam \[rad\]. The full divergence of 3 mrad is a guess from the size of the
+/// spot.
 const HALF_WIDTH_RAD: f64 = 0.0015;
-/// Nearer than this two surfaces are one, and farther than that the nearer one alone is timed: the
-/// pulse is about 5 ns long \[m\].
+/// Minimum and maximum distance between two surfaces that a split beam can mix \[m\]. Nearer surfaces
+/// count as one. With farther surfaces the sensor times the nearer one only, because the pulse is
+/// about 5 ns long.
 const MIXED_M: (f64, f64) = (0.05, 1.2);
 const FLOOR_REFLECTIVITY: f64 = 0.25;
 const CEILING_REFLECTIVITY: f64 = 0.7;
 const CLOTH_REFLECTIVITY: f64 = 0.35;
 
-/// A beam from the sensor, its direction of length 1, in the map frame.
+/// A beam from the sensor, in the map frame. Its direction is a unit vector.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ray {
     pub(crate) from: Vector3<f64>,
     pub(crate) direction: Vector3<f64>,
 }
 
-/// What comes back, before noise.
+/// A return before noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Echo {
     pub(crate) range_m: f64,
     /// Cosine of the angle between the beam and the surface's normal.
     pub(crate) cosine: f64,
     pub(crate) reflectivity: f64,
-    /// Whether something behind returns too.
+    /// Whether a surface behind this one can return as well.
     pub(crate) is_partial: bool,
-    /// The surface, where it is one with an edge.
+    /// Index of the surface, if it has edges.
     surface: Option<u32>,
 }
 
-/// What beams of one moment can meet.
+/// Everything that beams at one moment can hit.
 pub(crate) struct Scene<'a> {
     pub(crate) world: &'a World,
     pub(crate) people: &'a [Point],
-    /// Height of the ceiling above the sensor, infinite outdoors \[m\].
+    /// Height of the ceiling above the sensor; infinite outdoors \[m\].
     pub(crate) ceiling_m: f64,
-    /// What lies in the direction of the beams, just before and just after them.
+    /// The columns with bearings just before and just after the beams.
     pub(crate) columns: (&'a [Entry], &'a [Entry]),
 }
 
-/// Surfaces met by one beam that are kept.
+/// Largest number of surfaces kept per beam.
 const MAX_HITS: usize = 32;
 
 struct Hits {
@@ -66,7 +69,7 @@ struct Hits {
 }
 
 impl Hits {
-    /// Keeps them in order of range.
+    /// Inserts a hit in order of range.
     #[inline]
     fn insert(&mut self, range_m: f64, surface: u32) {
         let mut at = self.n.min(MAX_HITS - 1);
@@ -80,7 +83,7 @@ impl Hits {
 }
 
 impl Scene<'_> {
-    /// What returns from a beam, and what else does: behind a pane, or beside an edge.
+    /// The first return of a beam, and a second one from behind glass or from past an edge.
     pub(crate) fn echoes(
         &self,
         ray: &Ray,
@@ -89,7 +92,7 @@ impl Scene<'_> {
         random: &mut Random,
     ) -> (Option<Echo>, Option<Echo>) {
         let Some(mut first) = self.echo(ray, 0.0, random) else { return (None, None) };
-        if let Some(aside) = self.beside_edge(ray, &first) {
+        if let Some(aside) = self.ray_past_edge(ray, &first) {
             let Some(other) = self.echo(&aside, 0.0, random) else { return (Some(first), None) };
             let gap_m = other.range_m - first.range_m;
             if MIXED_M.1 < gap_m.abs() {
@@ -104,7 +107,7 @@ impl Scene<'_> {
         (Some(first), None)
     }
 
-    /// The first thing that returns, farther than `after_m`.
+    /// The nearest return that is farther than `after_m`.
     fn echo(&self, ray: &Ray, after_m: f64, random: &mut Random) -> Option<Echo> {
         let surface = self.surface_echo(ray, after_m, random);
         let limit_m = surface.map_or(MAX_RANGE_M, |echo| echo.range_m);
@@ -136,11 +139,11 @@ impl Scene<'_> {
                 let cosine = across.abs() / along.norm();
                 let (returns, depth_m) = match surface.material {
                     Material::Solid => (true, 0.0),
-                    Material::Glass if SQUARE_COSINE < cosine => {
-                        (random.chance(SQUARE_GLASS_RETURNS), 0.0)
+                    Material::Glass if NORMAL_COSINE < cosine => {
+                        (random.chance(NORMAL_GLASS_RETURNS), 0.0)
                     }
-                    Material::Glass => (random.chance(GLASS_RETURNS), 0.0),
-                    // The sides of a crown go around it counter-clockwise: what lies left is within.
+                    Material::Glass => (random.chance(OBLIQUE_GLASS_RETURNS), 0.0),
+                    // The sides of a crown run counter-clockwise: the left side is inside.
                     Material::Foliage if 0.0 < across => {
                         (random.chance(FOLIAGE_RETURNS), random.uniform(0.0, FOLIAGE_DEPTH_M))
                     }
@@ -150,7 +153,7 @@ impl Scene<'_> {
                     let is_solid = surface.material == Material::Solid;
                     return Some(Echo {
                         range_m: range_m + depth_m,
-                        // Leaves have no face.
+                        // Leaves have no common orientation.
                         cosine: if depth_m <= 0.0 { cosine } else { 1.0 },
                         reflectivity: surface.reflectivity,
                         is_partial: !is_solid,
@@ -159,7 +162,7 @@ impl Scene<'_> {
                 }
             }
             if let Some(ceilings_m) = surface.ceilings_m {
-                ceiling_m = beyond(&surface.segment, over_ground, ceilings_m);
+                ceiling_m = ceiling_behind(&surface.segment, over_ground, ceilings_m);
                 under_it_since_m = range_m;
             }
         }
@@ -170,12 +173,12 @@ impl Scene<'_> {
         })
     }
 
-    /// Meets the surfaces of both columns exactly.
+    /// Intersects a ray with the surfaces of both columns.
     #[inline]
     fn gather(&self, ray: &Ray, over_ground: Vector, limit_m: f64, hits: &mut Hits) {
         let from = Point::new(ray.from.x, ray.from.y);
         let surfaces = self.world.surfaces();
-        // A column belongs to a place a hand's breadth away, at most.
+        // The columns were cast from positions a few centimetres away.
         let limit_on_ground_m = limit_m * over_ground.norm() * 1.01 + 0.3;
         let (before, after) = self.columns;
         for entry in before {
@@ -183,7 +186,7 @@ impl Scene<'_> {
                 break;
             }
             if let Some(range_m) =
-                meet(&surfaces[entry.surface as usize].segment, from, over_ground)
+                intersect(&surfaces[entry.surface as usize].segment, from, over_ground)
                 && range_m <= limit_m
             {
                 hits.insert(range_m, entry.surface);
@@ -197,7 +200,7 @@ impl Scene<'_> {
                 || before.iter().any(|other| other.surface == entry.surface);
             if !is_known
                 && let Some(range_m) =
-                    meet(&surfaces[entry.surface as usize].segment, from, over_ground)
+                    intersect(&surfaces[entry.surface as usize].segment, from, over_ground)
                 && range_m <= limit_m
             {
                 hits.insert(range_m, entry.surface);
@@ -210,13 +213,13 @@ impl Scene<'_> {
         let over_ground = Vector::new(ray.direction.x, ray.direction.y);
         let norm = over_ground.norm();
         let of_person = |&person: &Point| {
-            let way = person - from;
-            let aside = cross(over_ground, way) / norm;
+            let to_person = person - from;
+            let aside = cross(over_ground, to_person) / norm;
             let inside = PERSON_RADIUS_M * PERSON_RADIUS_M - aside * aside;
-            let range_m = (way.dot(&over_ground) / norm - inside.max(0.0).sqrt()) / norm;
+            let range_m = (to_person.dot(&over_ground) / norm - inside.max(0.0).sqrt()) / norm;
             let z_m = ray.from.z + range_m * ray.direction.z;
-            let is_met = 0.0 <= inside && 0.0 < range_m && (0.0..=PERSON_HEIGHT_M).contains(&z_m);
-            is_met.then(|| Echo {
+            let is_hit = 0.0 <= inside && 0.0 < range_m && (0.0..=PERSON_HEIGHT_M).contains(&z_m);
+            is_hit.then(|| Echo {
                 range_m,
                 cosine: inside.max(0.0).sqrt() / PERSON_RADIUS_M * norm,
                 reflectivity: CLOTH_REFLECTIVITY,
@@ -227,27 +230,27 @@ impl Scene<'_> {
         (self.people.iter().filter_map(of_person)).min_by(|a, b| a.range_m.total_cmp(&b.range_m))
     }
 
-    /// The other part of a beam that is split by an upright edge.
-    fn beside_edge(&self, ray: &Ray, echo: &Echo) -> Option<Ray> {
+    /// The other part of a beam that is split by a vertical edge.
+    fn ray_past_edge(&self, ray: &Ray, echo: &Echo) -> Option<Ray> {
         let segment = &self.world.surfaces()[echo.surface? as usize].segment;
         let hit = ray.from + ray.direction * echo.range_m;
         let hit = Point::new(hit.x, hit.y);
         let half_width_m = echo.range_m * HALF_WIDTH_RAD;
         let end = [segment.start, segment.end].into_iter().find(|end| {
-            // Seen from the sensor an end is no farther aside than it is away.
-            let way = end - hit;
-            way.norm_squared() * echo.cosine * echo.cosine < half_width_m * half_width_m
+            // The cosine projects the distance to the end across the beam.
+            let to_end = end - hit;
+            to_end.norm_squared() * echo.cosine * echo.cosine < half_width_m * half_width_m
         })?;
         let over_ground = Vector::new(ray.direction.x, ray.direction.y);
-        let turn = HALF_WIDTH_RAD * cross(over_ground, end - hit).signum();
+        let angle_rad = HALF_WIDTH_RAD * cross(over_ground, end - hit).signum();
         let d = ray.direction;
-        // The cosine of so small an angle is 1, to a millionth.
-        let direction = Vector3::new(d.x - turn * d.y, d.y + turn * d.x, d.z);
+        // The cosine of this angle is 1 to within 1.2e-6.
+        let direction = Vector3::new(d.x - angle_rad * d.y, d.y + angle_rad * d.x, d.z);
         Some(Ray { from: ray.from, direction: direction.normalize() })
     }
 }
 
-/// The ceiling, where a beam reaches it between two ranges.
+/// The return from the ceiling, if the beam hits it between two ranges.
 #[inline]
 fn ceiling_echo(ray: &Ray, ceiling_m: f64, from_m: f64, to_m: f64) -> Option<Echo> {
     let rise = ray.direction.z;
@@ -267,7 +270,7 @@ mod tests {
     use crate::random::Purpose;
     use crate::world::{Surface, prism};
 
-    /// A room of 10 x 6 m below a ceiling of 2.7 m; the sensor in its middle, 0.8 m high.
+    /// A room of 10 x 6 m with a ceiling of 2.7 m. The sensor is in the middle, 0.8 m high.
     fn room(more: Vec<Surface>) -> World {
         let room = Rect::new(Point::new(-5.0, -3.0), Point::new(5.0, 3.0));
         let wall = |segment| Surface::solid(segment, (0.0, 2.7), 0.5);
@@ -295,11 +298,12 @@ mod tests {
         assert!((found - expected).abs() < 1e-4, "{found}, expected {expected}");
     }
 
-    /// Ahead 5 m, aside 3 m; 3 / sin 45 deg = 4.2426 m. Down by 30 deg: 0.8 / sin = 1.6 m to the
-    /// floor. Down by 1.3333 deg: 3 / cos = 3.0008 m to the wall. Up by 21.3333 deg: 1.9 / sin =
-    /// 5.2227 m to the ceiling ahead, but 3 / cos = 3.2207 m to a side wall.
+    /// The wall ahead is 5 m away and the wall to the side 3 m; at 45 deg the range is 3 / sin =
+    /// 4.2426 m. Down by 30 deg: 0.8 / sin = 1.6 m to the floor. Down by 1.3333 deg: 3 / cos =
+    /// 3.0008 m to the side wall. Up by 21.3333 deg: 1.9 / sin = 5.2227 m to the ceiling ahead, but
+    /// 3 / cos = 3.2207 m to the side wall.
     #[test]
-    fn walls_floor_and_ceiling() {
+    fn beams_hit_walls_floor_and_ceiling() {
         let room = room(Vec::new());
         for (bearing, elevation, expected) in [
             (0.0, 0.0, 5.0),
@@ -312,36 +316,37 @@ mod tests {
         ] {
             check(echo(&room, &[], bearing, elevation).range_m, expected);
         }
-        // The cosine of 45 deg at the wall, and the sine of 30 deg on the floor.
+        // Incidence: the cosine of 45 deg at the wall, and the sine of 30 deg on the floor.
         check(echo(&room, &[], 45.0, 0.0).cosine, std::f64::consts::FRAC_1_SQRT_2);
         check(echo(&room, &[], 0.0, -30.0).cosine, 0.5);
     }
 
-    /// A table of 0.7 m stands 2 m ahead: a beam that is down by 5 deg is 0.625 m high there and
-    /// meets it at 2 / cos = 2.0076 m; the level one passes over it.
+    /// A table 0.7 m high is 2 m ahead. A beam down by 5 deg is 0.625 m high there and hits it at
+    /// 2 / cos = 2.0076 m. The level beam passes over it.
     #[test]
-    fn beams_pass_over_a_table() {
+    fn a_level_beam_passes_over_a_table() {
         let table = Rect::new(Point::new(2.0, -1.0), Point::new(3.0, 1.0));
         let room = room(prism(&table.corners(), (0.0, 0.7), 0.5));
         check(echo(&room, &[], 0.0, -5.0).range_m, 2.0076);
         check(echo(&room, &[], 0.0, 0.0).range_m, 5.0);
     }
 
-    /// A person 2 m ahead and 1 m to the left is met at 26.565 deg, at sqrt(5) - 0.25 = 1.9861 m;
-    /// a beam up by 40 deg is 2.4 m high there.
+    /// A beam at 26.565 deg hits a person 2 m ahead and 1 m to the left at sqrt(5) - 0.25 =
+    /// 1.9861 m. A beam up by 40 deg is 2.4 m high there.
     #[test]
-    fn a_person_to_the_left() {
+    fn a_beam_hits_a_person_to_the_left() {
         let (room, person) = (room(Vec::new()), [Point::new(2.0, 1.0)]);
         check(echo(&room, &person, 26.565, 0.0).range_m, 1.9861);
         check(echo(&room, &person, -26.565, 0.0).range_m, 5.5902); // 5 / cos 26.565 deg, the wall
         check(echo(&room, &person, 26.565, 40.0).range_m, 1.9 / 0.642_788); // the ceiling
     }
 
-    /// Out of a low room through a door into a hall of 6 m: up by 20 deg the beam is 1.53 m high at
-    /// the door 2 m ahead, below its lintel, and 3.35 m at the hall's end 7 m ahead: no ceiling of
-    /// 2.7 m there. Up by 50 deg it meets the low one at 1.9 / sin = 2.4803 m.
+    /// From a low room through a door into a hall 6 m high. Up by 20 deg the beam is 1.53 m high at
+    /// the door 2 m ahead, below its lintel, and 3.35 m high at the end of the hall 7 m ahead, where
+    /// the ceiling is higher than 2.7 m. Up by 50 deg it hits the low ceiling at 1.9 / sin =
+    /// 2.4803 m.
     #[test]
-    fn beyond_a_lintel_the_ceiling_is_another() {
+    fn the_ceiling_changes_behind_a_lintel() {
         let (room, hall) = (
             Rect::new(Point::new(-5.0, -3.0), Point::new(2.0, 3.0)),
             Rect::new(Point::new(2.0, -3.0), Point::new(7.0, 3.0)),
@@ -356,9 +361,9 @@ mod tests {
         check(echo(&world, &[], 0.0, 50.0).range_m, 2.480_27);
     }
 
-    /// A pane square to the beam returns, one that is slanted by more than 1.5 deg hardly ever.
+    /// Glass returns a beam at normal incidence. At more than 1.5 deg it rarely does.
     #[test]
-    fn glass_returns_where_it_is_square() {
+    fn glass_returns_beams_at_normal_incidence() {
         let pane = Rect::new(Point::new(3.0, -2.5), Point::new(3.1, 2.5)).corners();
         let panes = prism(&pane, (0.0, 2.7), 0.3).into_iter();
         let room = room(panes.map(|s| Surface { material: Material::Glass, ..s }).collect());

@@ -1,4 +1,4 @@
-//! A place and the drives through it.
+//! A site and the drives through it.
 
 use crate::drive::Drive;
 use crate::map::Map;
@@ -7,7 +7,7 @@ use crate::random::{Purpose, Random};
 use crate::site::Site;
 use crate::{Options, SimulateError};
 
-/// A place, and a drive through it for each log, each on a day of its own.
+/// A site, and for each log one drive through it, each on a different day.
 #[derive(Debug, Clone)]
 pub struct Campus {
     options: Options,
@@ -17,7 +17,7 @@ pub struct Campus {
 }
 
 impl Campus {
-    /// Checks the options, then builds the place and every drive.
+    /// Checks the options, then builds the site and every drive.
     pub fn new(options: &Options, seed: u64) -> Result<Self, SimulateError> {
         options.check()?;
         if options.map.is_some() {
@@ -31,7 +31,7 @@ impl Campus {
         Ok(Self::on_site(&site, options, seed))
     }
 
-    /// Checks the options, then builds every drive on a map; `buildings` plays no part.
+    /// Checks the options, then builds every drive on a map. Ignores [`Options::buildings`].
     pub fn on_map(options: &Options, seed: u64, map: Map) -> Result<Self, SimulateError> {
         options.check()?;
         let mut random = Random::new(seed, Purpose::Plan, 0, 0);
@@ -44,25 +44,25 @@ impl Campus {
         Self { options: options.clone(), seed, buildings: site.outlines(), drives }
     }
 
-    /// The options it was built from.
+    /// The options of the simulation.
     pub fn options(&self) -> &Options {
         &self.options
     }
 
-    /// The seed it was built from.
+    /// The seed of the simulation.
     pub fn seed(&self) -> u64 {
         self.seed
     }
 
-    /// The south-western and north-eastern corners of every building.
+    /// The south-west and north-east corners of every building.
     pub fn buildings(&self) -> &[(Point, Point)] {
         &self.buildings
     }
 
-    /// The drive of log number `log`, an index into [`Options::logs`].
+    /// The drive of a log; `log` is an index into [`Options::logs`].
     ///
     /// # Panics
-    /// If there is no such log.
+    /// If `log` is out of range.
     pub fn drive(&self, log: usize) -> &Drive {
         &self.drives[log]
     }

@@ -1,4 +1,4 @@
-//! A building on one day: its walls, with the doors, the furniture and the boxes of that day.
+//! The surfaces of a building on one day: walls, doors, furniture and boxes in corridors.
 
 use std::f64::consts::TAU;
 
@@ -7,23 +7,23 @@ use crate::plane::{Point, Rect, Segment, Vector, outline};
 use crate::random::Random;
 use crate::world::{Material, Surface, prism};
 
-/// Boxes that stand in the corridors of a day, one for so much corridor \[m\].
+/// Length of corridor per box \[m\].
 const CORRIDOR_PER_BOX_M: f64 = 22.0;
-/// Share of furniture that stands anywhere in its room, and not where it usually does.
+/// Fraction of the furniture that is moved to a random position in its room.
 const MOVED_SHARE: f64 = 0.25;
-/// Sides of the polygon that stands for a round pillar or trunk.
+/// Number of sides of the polygon that approximates a round pillar or trunk.
 const ROUND_SIDES: u32 = 16;
 /// Height of doors \[m\].
 const DOOR_HEIGHT_M: f64 = 2.1;
 /// Height of the entrances in the facades \[m\].
 const ENTRANCE_HEIGHT_M: f64 = 2.4;
-/// Windows reach from here to there \[m\].
+/// Lower and upper edge of windows \[m\].
 const WINDOW_M: (f64, f64) = (0.9, 2.2);
-/// A pane throws back little, even where it stands square to the beam.
+/// Glass reflects little, even at normal incidence.
 const GLASS_REFLECTIVITY: f64 = 0.3;
 const PILLAR_REFLECTIVITY: f64 = 0.5;
 
-/// All surfaces of a building on one day, in its own frame.
+/// All surfaces of a building on one day, in the frame of the building.
 pub(crate) fn building_of_day(plan: &Plan, random: &mut Random) -> Vec<Surface> {
     let storey = (0.0, plan.ceiling_m);
     let wall = |segment| Surface::solid(segment, storey, plan.reflectivity);
@@ -37,16 +37,20 @@ pub(crate) fn building_of_day(plan: &Plan, random: &mut Random) -> Vec<Surface> 
             surfaces.push(Surface::solid(door.lintel, above, plan.reflectivity));
         }
     }
-    // What would be wall along the facade is where windows and the entrance are.
+    // The facade, with its windows and entrance, is added by `facades`.
     let is_inside = |s: &Segment| !is_on_edge(&plan.building, s);
     surfaces.extend(outline(&open, &plan.solid).into_iter().filter(is_inside).map(wall));
     surfaces.extend(plan.glass.iter().map(|&segment| pane(segment, storey)));
     surfaces.extend(atrium(plan));
-    surfaces.extend(plan.pillars.iter().flat_map(|Pillar { centre, radius }| {
-        prism(&round(*centre, *radius), (0.0, plan.atrium_ceiling_m), PILLAR_REFLECTIVITY)
+    surfaces.extend(plan.pillars.iter().flat_map(|Pillar { centre, radius_m }| {
+        prism(
+            &circle_polygon(*centre, *radius_m),
+            (0.0, plan.atrium_ceiling_m),
+            PILLAR_REFLECTIVITY,
+        )
     }));
     for furniture in &plan.furniture {
-        surfaces.extend(stand(furniture, random));
+        surfaces.extend(place_furniture(furniture, random));
     }
     for _ in 0..n_boxes(plan) {
         surfaces.extend(corridor_box(plan, random));
@@ -58,7 +62,7 @@ fn pane(segment: Segment, z: (f64, f64)) -> Surface {
     Surface { material: Material::Glass, ..Surface::solid(segment, z, GLASS_REFLECTIVITY) }
 }
 
-/// The walls of the atrium above the ceilings around it.
+/// The walls of the atrium above the surrounding ceilings.
 fn atrium(plan: &Plan) -> Vec<Surface> {
     let ceilings_m = Some((plan.atrium_ceiling_m, plan.ceiling_m));
     let above = (plan.ceiling_m, plan.atrium_ceiling_m);
@@ -130,8 +134,8 @@ fn n_boxes(plan: &Plan) -> usize {
         as usize
 }
 
-/// A bin, a bench or a case at the wall of a wide corridor; nothing if the place drawn does not
-/// suit.
+/// A box (bin, bench, case) at the wall of a wide corridor. Empty if the drawn position is not
+/// suitable.
 fn corridor_box(plan: &Plan, random: &mut Random) -> Vec<Surface> {
     let section = &plan.sections[random.index(plan.sections.len())];
     let side = if random.chance(0.5) { -1.0 } else { 1.0 };
@@ -145,14 +149,14 @@ fn corridor_box(plan: &Plan, random: &mut Random) -> Vec<Surface> {
         .unwrap_or_default()
 }
 
-/// The four sides of a piece of furniture where it stands on a day; none where its room is too
-/// small to turn it around.
-fn stand(furniture: &Furniture, random: &mut Random) -> Vec<Surface> {
-    let Furniture { room, centre, size, height, angle, reflectivity } = furniture;
-    let reach = 0.5 * (size.0 * size.0 + size.1 * size.1).sqrt() + 0.05;
+/// The four sides of a piece of furniture at its position on one day. Empty if the room is too
+/// small to rotate it.
+fn place_furniture(furniture: &Furniture, random: &mut Random) -> Vec<Surface> {
+    let Furniture { room, centre, size_m, height_m, angle_rad, reflectivity } = furniture;
+    let reach = 0.5 * (size_m.0 * size_m.0 + size_m.1 * size_m.1).sqrt() + 0.05;
     let shift = Vector::new(0.2 * random.normal(), 0.2 * random.normal());
     let anywhere = Point::new(random.uniform(room.x0, room.x1), random.uniform(room.y0, room.y1));
-    let turn = 0.1 * random.normal();
+    let rotation_rad = 0.1 * random.normal();
     let place = if random.chance(MOVED_SHARE) { anywhere } else { centre + shift };
 
     if room.width() <= 2.0 * reach || room.height() <= 2.0 * reach {
@@ -162,19 +166,19 @@ fn stand(furniture: &Furniture, random: &mut Random) -> Vec<Surface> {
         place.x.clamp(room.x0 + reach, room.x1 - reach),
         place.y.clamp(room.y0 + reach, room.y1 - reach),
     );
-    prism(&turned(centre, *size, angle + turn), (0.0, *height), *reflectivity)
+    prism(&rotated_rect(centre, *size_m, angle_rad + rotation_rad), (0.0, *height_m), *reflectivity)
 }
 
-/// The corners of a rectangle turned about its centre.
-pub(crate) fn turned(centre: Point, size: (f64, f64), angle: f64) -> [Point; 4] {
+/// The corners of a rectangle rotated about its centre.
+pub(crate) fn rotated_rect(centre: Point, size: (f64, f64), angle: f64) -> [Point; 4] {
     let (sin, cos) = libm::sincos(angle);
     let (half_x, half_y) = (size.0 / 2.0, size.1 / 2.0);
     [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
         .map(|(x, y)| centre + Vector::new(cos * x - sin * y, sin * x + cos * y))
 }
 
-/// A polygon that stands for a circle.
-pub(crate) fn round(centre: Point, radius: f64) -> Vec<Point> {
+/// A polygon that approximates a circle.
+pub(crate) fn circle_polygon(centre: Point, radius: f64) -> Vec<Point> {
     (0..ROUND_SIDES)
         .map(|k| {
             let (sin, cos) = libm::sincos(TAU * f64::from(k) / f64::from(ROUND_SIDES));

@@ -1,4 +1,4 @@
-//! A drive: the robot's motion along its path, its clock, and the place on that day.
+//! A drive: the motion of the robot along its path, its clock, and the world on that day.
 
 use std::f64::consts::TAU;
 
@@ -13,40 +13,42 @@ use crate::random::{Purpose, Random};
 use crate::site::Site;
 use crate::world::{Surface, World};
 
-/// The first drive's day and hour: 2024-03-04 08:00 UTC \[s since the epoch\]. Every further drive
-/// is a day later.
+/// Hour of the first drive: 2024-03-04 08:00 UTC \[s since the epoch\]. Each further drive is one day
+/// later.
 const FIRST_HOUR_S: i64 = 1_709_539_200;
 const HOUR_S: i64 = 3_600;
 const DAY_S: i64 = 24 * HOUR_S;
-/// The first drive passes the top of the hour at this share of its duration.
+/// The first drive passes the top of the hour at this fraction of its duration.
 const HOUR_PASSED_AT: f64 = 0.4;
-/// The sensor starts this much after the robot and stops at least this much before it, so that
-/// there is a true pose before the first firing and after the last \[ns\].
+/// The lidar starts this much after the robot and stops at least this much before it \[ns\]. There is
+/// therefore a ground-truth pose before the first firing and after the last.
 pub(crate) const MARGIN_NS: i64 = 100_000_000;
-/// Height of the sensor above the axle's track on the floor, about which the base pitches \[m\].
+/// Height of the lidar above the floor; the base pitches about the point on the floor below the axle
+/// \[m\].
 pub const SENSOR_HEIGHT_M: f64 = 0.8;
 /// Standard gravity \[m/s^2\].
 pub(crate) const GRAVITY_M_S2: f64 = 9.80665;
-/// Furniture keeps clear of the drive at places this far apart \[m\].
-const WAY_STEP_M: f64 = 0.2;
-/// The base leans into what it will do this much later, and did this much before \[s\].
-const LEAN_S: f64 = 0.35;
-/// The base never leans farther than this \[rad\].
+/// Distance between the points of the path at which furniture keeps clear of the robot \[m\].
+const CLEAR_PATH_STEP_M: f64 = 0.2;
+/// Half of the window over which the acceleration is computed for the pitch \[s\].
+const PITCH_WINDOW_S: f64 = 0.35;
+/// Largest pitch of the base \[rad\].
 pub(crate) const MAX_PITCH_RAD: f64 = 0.12;
 
-/// Where the base is and how it stands.
+/// Pose, pitch and speed of the base.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Motion {
-    /// The middle between the wheels, and the heading.
+    /// Position of the point midway between the wheels, and heading, in the map frame.
     pub pose: Pose2,
-    /// Forward and down is positive (about y, which is left) \[rad\].
+    /// Pitch about the y axis (left): positive when the base leans forward \[rad\].
     pub pitch_rad: f64,
-    /// Along the path \[m/s\].
+    /// Speed along the path \[m/s\].
     pub speed_m_s: f64,
 }
 
 impl Motion {
-    /// Where the sensor is: the base pitches about its axle's track on the floor \[m\].
+    /// Position of the lidar in the map frame \[m\]. The base pitches about the point on the floor
+    /// below the axle.
     pub fn sensor_position_m(&self) -> [f64; 3] {
         let (sin, cos) = libm::sincos(self.pose.heading_rad);
         let (lean, upright) = libm::sincos(self.pitch_rad);
@@ -58,12 +60,12 @@ impl Motion {
     }
 }
 
-/// One drive.
+/// One drive through a site.
 #[derive(Debug, Clone)]
 pub struct Drive {
     path: Path,
     profile: Profile,
-    rocking: Rocking,
+    oscillation: PitchOscillation,
     start_ns: i64,
     end_ns: i64,
     world: World,
@@ -71,15 +73,15 @@ pub struct Drive {
     start_azimuth_counts: f64,
 }
 
-/// The base never quite stands still: two sines.
+/// Pitch oscillation of the self-balancing base: the sum of two sines.
 #[derive(Debug, Clone, Copy)]
-struct Rocking {
+struct PitchOscillation {
     amplitude_rad: f64,
     /// Frequencies \[Hz\] and phases \[rad\].
     waves: [(f64, f64); 2],
 }
 
-impl Rocking {
+impl PitchOscillation {
     fn draw(options: &Options, random: &mut Random) -> Self {
         let mut wave = |low, high| (random.uniform(low, high), random.uniform(0.0, TAU));
         let waves = [wave(0.8, 1.3), wave(1.8, 2.6)];
@@ -105,79 +107,82 @@ impl Drive {
             0 => hour_ns - (HOUR_PASSED_AT * duration_ns as f64) as i64,
             _ => hour_ns + (draws.uniform(300.0, 2700.0) * 1e9) as i64,
         };
-        let n_steps = (options.length_m / WAY_STEP_M).ceil() as usize;
-        let way: Vec<Point> = (0..=n_steps).map(|k| path.at(k as f64 * WAY_STEP_M).0).collect();
+        let n_steps = (options.length_m / CLEAR_PATH_STEP_M).ceil() as usize;
+        let path_points: Vec<Point> =
+            (0..=n_steps).map(|k| path.at(k as f64 * CLEAR_PATH_STEP_M).0).collect();
         Self {
             profile: Profile::new(&path, options.length_m, options.duration_s(), &mut draws),
             path,
-            rocking: Rocking::draw(options, &mut draws),
+            oscillation: PitchOscillation::draw(options, &mut draws),
             start_ns,
             end_ns: start_ns + duration_ns,
-            world: site.day(&way, &mut random(Purpose::Day)),
+            world: site.day(&path_points, &mut random(Purpose::Day)),
             people: people_of_day(site.lanes(), options.people, &mut random(Purpose::People)),
             start_azimuth_counts: draws.uniform(0.0, 36_000.0),
         }
     }
 
-    /// When the log starts \[ns since the epoch\].
+    /// Start of the log \[ns since the epoch\].
     pub fn start_ns(&self) -> i64 {
         self.start_ns
     }
 
-    /// When it ends \[ns since the epoch\].
+    /// End of the log \[ns since the epoch\].
     pub fn end_ns(&self) -> i64 {
         self.end_ns
     }
 
-    /// When the sensor fires first \[ns since the epoch\].
+    /// Time of the first firing of the lidar \[ns since the epoch\].
     pub fn first_firing_ns(&self) -> i64 {
         self.start_ns + MARGIN_NS
     }
 
-    /// The true pose of the robot, the middle between its wheels, in the map frame.
+    /// Ground truth: the pose of `base_link` in the map frame.
     pub fn pose_at(&self, stamp_ns: i64) -> Pose2 {
-        let (way_m, _) = self.profile.at(self.seconds_since_start(stamp_ns));
-        self.pose_on_path(way_m)
+        let (travel_m, _) = self.profile.at(self.seconds_since_start(stamp_ns));
+        self.pose_on_path(travel_m)
     }
 
-    /// How the robot moves.
+    /// Ground truth: pose, pitch and speed of the base.
     pub fn motion_at(&self, stamp_ns: i64) -> Motion {
         let time_s = self.seconds_since_start(stamp_ns);
-        let (way_m, speed_m_s) = self.profile.at(time_s);
+        let (travel_m, speed_m_s) = self.profile.at(time_s);
         let pitch_rad = self.pitch_rad(time_s);
-        Motion { pose: self.pose_on_path(way_m), pitch_rad, speed_m_s }
+        Motion { pose: self.pose_on_path(travel_m), pitch_rad, speed_m_s }
     }
 
-    /// Way along the path \[m\].
-    pub(crate) fn way_m(&self, stamp_ns: i64) -> f64 {
+    /// Distance along the path \[m\].
+    pub(crate) fn travel_m(&self, stamp_ns: i64) -> f64 {
         self.profile.at(self.seconds_since_start(stamp_ns)).0
     }
 
-    fn pose_on_path(&self, way_m: f64) -> Pose2 {
-        let (position, forward) = self.path.at(way_m);
+    fn pose_on_path(&self, travel_m: f64) -> Pose2 {
+        let (position, forward) = self.path.at(travel_m);
         let heading_rad = wrap_angle(libm::atan2(forward.y, forward.x));
         Pose2 { x_m: position.x, y_m: position.y, heading_rad }
     }
 
-    /// A balancing base leans by acceleration / gravity. The acceleration is the second difference
-    /// of the way, so that the base leans before it speeds up, and smoothly.
+    /// A balancing base pitches by acceleration / gravity. The acceleration is the second difference
+    /// of the distance over a window. The base therefore leans smoothly, and before it speeds up.
     pub(crate) fn pitch_rad(&self, time_s: f64) -> f64 {
-        if self.rocking.amplitude_rad <= 0.0 {
+        if self.oscillation.amplitude_rad <= 0.0 {
             return 0.0;
         }
-        let way_m = |time_s| self.profile.at(time_s).0;
-        let second = way_m(time_s + LEAN_S) - 2.0 * way_m(time_s) + way_m(time_s - LEAN_S);
-        let pitch = second / (LEAN_S * LEAN_S * GRAVITY_M_S2) + self.rocking.at(time_s);
+        let travel_m = |time_s| self.profile.at(time_s).0;
+        let second = travel_m(time_s + PITCH_WINDOW_S) - 2.0 * travel_m(time_s)
+            + travel_m(time_s - PITCH_WINDOW_S);
+        let pitch =
+            second / (PITCH_WINDOW_S * PITCH_WINDOW_S * GRAVITY_M_S2) + self.oscillation.at(time_s);
         let share = pitch / MAX_PITCH_RAD;
         pitch / (1.0 + share * share).sqrt()
     }
 
-    /// Everything upright that stands there on that day.
+    /// Ground truth: all vertical surfaces on that day.
     pub fn surfaces(&self) -> &[Surface] {
         self.world.surfaces()
     }
 
-    /// Height of the ceiling above a place, infinite under the sky \[m\].
+    /// Height of the ceiling above a position; infinite outdoors \[m\].
     pub fn ceiling_m(&self, at: Point) -> f64 {
         self.world.ceiling_m(at)
     }
@@ -186,7 +191,7 @@ impl Drive {
         &self.world
     }
 
-    /// Where everybody is.
+    /// Positions of all people.
     pub(crate) fn people_at(&self, stamp_ns: i64) -> Vec<Point> {
         let time_s = self.seconds_since_start(stamp_ns);
         self.people.iter().map(|person| person.position(time_s)).collect()
@@ -202,7 +207,7 @@ impl Drive {
     }
 }
 
-/// The unit vector of a heading.
+/// Unit vector in the direction of a heading.
 pub(crate) fn forward(heading_rad: f64) -> Vector {
     let (sin, cos) = libm::sincos(heading_rad);
     Vector::new(cos, sin)
@@ -223,35 +228,35 @@ mod tests {
     }
 
     #[test]
-    fn speed_and_heading_are_smooth_and_there_are_stops() {
+    fn speed_and_heading_change_smoothly_and_the_robot_stops_sometimes() {
         for (log, buildings) in [(0, 1), (1, 1), (0, 3), (1, 3)] {
             let drive = drive(5, log, buildings, 400.0);
             let step_ns = 5_000_000;
-            let (mut way_m, mut n_still, mut fastest_rad) = (0.0, 0, 0.0f64);
+            let (mut travel_m, mut n_still, mut fastest_rad) = (0.0, 0, 0.0f64);
             let mut last_m = None;
             let n = (drive.end_ns() - drive.start_ns()) / step_ns;
             for k in 0..n {
                 let at = drive.start_ns() + k * step_ns;
                 let (a, b) = (drive.pose_at(at), drive.pose_at(at + step_ns));
                 let moved_m = a.distance_m(&b);
-                way_m += moved_m;
+                travel_m += moved_m;
                 n_still += i32::from(moved_m < 1e-9);
-                // No more than 0.021 m in 5 ms, and no jump: 1.5 m/s^2.
+                // At most 0.021 m in 5 ms, and at most 1.5 m/s^2.
                 assert!(moved_m < 0.021, "{moved_m} m at step {k}");
                 let change_m: f64 = last_m.map_or(0.0, |last: f64| moved_m - last);
                 assert!(change_m.abs() < 1.5 * 0.005 * 0.005, "{change_m} m at step {k}");
                 last_m = Some(moved_m);
-                let turn = wrap_angle(b.heading_rad - a.heading_rad);
-                fastest_rad = fastest_rad.max(turn.abs());
+                let turned_rad = wrap_angle(b.heading_rad - a.heading_rad);
+                fastest_rad = fastest_rad.max(turned_rad.abs());
             }
-            // Mean speed and length are as asked.
-            assert!((way_m - 400.0).abs() < 0.05, "{way_m} m");
+            // Mean speed and length match the options.
+            assert!((travel_m - 400.0).abs() < 0.05, "{travel_m} m");
             assert!(400 < n_still, "{n_still} steps without motion"); // 2 s
             assert!(fastest_rad < 0.01, "{fastest_rad} rad in 5 ms");
         }
     }
 
-    /// All around a lap, in several places and on several days.
+    /// A full lap, at several sites and on several days.
     #[test]
     fn the_robot_keeps_clear_of_walls() {
         for (seed, log, buildings) in [
@@ -272,7 +277,7 @@ mod tests {
                 let at = drive.start_ns() + (drive.end_ns() - drive.start_ns()) * k / 5000;
                 let pose = drive.pose_at(at);
                 let position = Point::new(pose.x_m, pose.y_m);
-                // What hangs higher than the robot is not in its way.
+                // Surfaces above the robot do not block it.
                 let clear_m = (drive.surfaces().iter())
                     .filter(|surface| surface.z_low_m < 1.5)
                     .map(|surface| surface.segment.distance_m(position))
@@ -283,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn places_are_revisited_and_far_apart() {
+    fn the_robot_revisits_places_and_also_sees_distant_ones() {
         for (log, buildings, length_m, far_m) in
             [(0, 1, 400.0, 60.0), (1, 1, 400.0, 60.0), (0, 2, 900.0, 70.0)]
         {
@@ -304,9 +309,9 @@ mod tests {
         }
     }
 
-    /// So that poses fused from wheels and gyroscope, which begin at the origin, share a frame.
+    /// Poses fused from wheels and gyroscope start at the origin. They therefore share a frame.
     #[test]
-    fn every_drive_on_a_campus_begins_at_the_origin() {
+    fn every_drive_on_a_campus_starts_at_the_origin() {
         for log in 0..3 {
             let drive = drive(2436, log, 7, 100.0);
             let pose = drive.pose_at(drive.start_ns());
@@ -315,9 +320,10 @@ mod tests {
         }
     }
 
-    /// It leans into the acceleration by about a / g, rocks by 0.4 deg, and never leans far.
+    /// The base pitches by about acceleration / gravity, oscillates by 0.4 deg, and stays below the
+    /// largest pitch.
     #[test]
-    fn the_base_pitches() {
+    fn the_base_pitches_when_it_accelerates() {
         let drive = drive(5, 0, 7, 300.0);
         let dt = 0.01;
         let times = || (100..14_900).map(|k| f64::from(k) * dt);
@@ -336,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_drive_passes_the_top_of_the_hour_and_others_come_a_day_later_each() {
+    fn the_first_drive_passes_the_top_of_the_hour_and_later_drives_are_one_day_apart() {
         let hour = |ns: i64| ns.div_euclid(3_600_000_000_000);
         let drives = [0, 1, 2].map(|log| drive(1, log, 1, 400.0));
         assert_eq!(hour(drives[0].first_firing_ns()) + 1, hour(drives[0].end_ns()));

@@ -1,28 +1,28 @@
-//! Why there is nothing to simulate.
+//! Errors of the simulation.
 
 use std::path::PathBuf;
 
-/// Why there is nothing to simulate, or why it could not be written.
+/// Why a drive could not be simulated or written.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
     /// The list of logs is empty.
-    #[error("simulate.logs is empty, name at least one log")]
+    #[error("`simulate.logs` is empty, expected at least one log name")]
     NoLogs,
-    /// A log's name does not do as the stem of a file.
+    /// A log name is not a valid file stem.
     #[error(
-        "simulate.logs has {name:?}, which is no file stem: use 1 to 100 letters, digits, '-', '_' and '.', beginning with a letter or digit"
+        "`simulate.logs` contains {name:?}, which is not a valid file stem: use 1 to 100 letters, digits, '-', '_' and '.', starting with a letter or digit"
     )]
     LogName {
         /// The name found.
         name: String,
     },
-    /// Two logs would be one file, at least where file names ignore case.
-    #[error("simulate.logs has {name:?} twice, give every log a name of its own")]
+    /// Two logs have the same name, ignoring case as some file systems do.
+    #[error("`simulate.logs` contains {name:?} twice, expected a different name for each log")]
     RepeatedLog {
-        /// The second of the two.
+        /// The repeated name.
         name: String,
     },
-    /// A number outside its limits, or not a number.
+    /// An option is outside its limits, or not a number.
     #[error("simulate.{option} is {found}, expected {min} to {max}")]
     OutOfRange {
         /// The option's key.
@@ -34,44 +34,54 @@ pub enum SimulateError {
         /// Largest value allowed.
         max: f64,
     },
-    /// Not even one message of packets fits into the drive.
+    /// The drive is too short for one message of packets.
     #[error(
-        "a drive of simulate.length_m = {length_m} at simulate.speed_m_s = {speed_m_s} is over before the sensor completes a turn, drive at least {needed_m:.3} m"
+        "`simulate.length_m` is {length_m}, expected {needed_m:.3} or more: at `simulate.speed_m_s` = {speed_m_s} the drive ends before the lidar completes a revolution"
     )]
     TooShort {
-        /// \[m\]
+        /// Length of the drive \[m\].
         length_m: f64,
-        /// \[m/s\]
+        /// Mean speed \[m/s\].
         speed_m_s: f64,
-        /// Shortest drive at that speed \[m\].
+        /// Length of the shortest possible drive at that speed \[m\].
         needed_m: f64,
     },
-    /// A file that is no map, or a map that cannot be driven on.
+    /// A file of a map cannot be read.
+    #[error("cannot read {path}", path = path.display())]
+    ReadMap {
+        /// The YAML file of the map, or its image.
+        path: PathBuf,
+        /// The cause.
+        source: std::io::Error,
+    },
+    /// A file is not a valid map, or the map has no room for a robot.
     #[error("{path}: {reason}", path = path.display())]
     Map {
-        /// The map's YAML file, or its image.
+        /// The YAML file of the map, or its image.
         path: PathBuf,
-        /// What was expected, and what was found.
+        /// What was found, and what was expected.
         reason: String,
     },
-    /// The pipeline names a map that was not handed over, or the other way around.
-    #[error("simulate.map is set, load it with Map::load and build the campus with Campus::on_map")]
-    MapNotLoaded,
-    /// The campus has no drive of that number, or its log no such file.
+    /// [`Campus::new`](crate::Campus::new) was called with options that name a map.
     #[error(
-        "log number {log}, file number {file} does not exist: simulate.logs names {n_logs}, simulate.files is {n_files}"
+        "`simulate.map` is set: load the map with `Map::load` and call `Campus::on_map` instead of `Campus::new`"
+    )]
+    MapNotLoaded,
+    /// The log number or the file number is out of range.
+    #[error(
+        "file {file} of log {log} does not exist: there are {n_logs} logs (`simulate.logs`) of {n_files} files each (`simulate.files`), numbered from 0"
     )]
     NoSuchLog {
-        /// Number asked for, from 0.
+        /// Requested log, from 0.
         log: usize,
-        /// How many there are.
+        /// Number of logs.
         n_logs: usize,
-        /// File asked for, from 0.
+        /// Requested file, from 0.
         file: u32,
-        /// How many each log is split into.
+        /// Number of files per log.
         n_files: u32,
     },
     /// The log could not be written.
-    #[error("the log could not be written")]
+    #[error("cannot write the log")]
     Write(#[from] mcap::McapError),
 }

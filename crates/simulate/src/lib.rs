@@ -1,18 +1,38 @@
-//! A campus, a robot and its sensors: MCAP logs of an HDL-32E drive with known truth.
+//! Simulates drives of a robot with an HDL-32E lidar through a campus, and writes them as MCAP logs
+//! with ground truth.
 //!
 //! ```text
-//!  seed ─► Site (buildings, outdoors) ─► Drive (a day's world, people, a path) ─┬─► Sensor (packets)      ─┬─► log.mcap
-//!                                                                               └─► Wheels, ImuUnit, truth ┘
+//!  seed ─► Site (buildings, outdoors) ─► Drive (world of the day, people, path) ─┬─► Sensor (packets)              ─┬─► log.mcap
+//!                                                                                └─► Wheels, ImuSensor, ground truth ┘
 //! ```
 //!
-//! [`Campus::new`] builds a place and a [`Drive`] through it for each log ([`Campus::on_map`] takes
-//! the place from a [`Map`]); [`write_drive`] writes a
-//! drive's log; [`Drive::motion_at`] and [`Drive::surfaces`] tell the truth about it. The same
-//! options and seed give the same bytes, on any number of threads.
+//! [`Campus::new`] builds a site and one [`Drive`] per log. [`Campus::on_map`] uses an occupancy
+//! grid [`Map`] as the site instead. [`write_drive`] writes the log of a drive. [`Drive::motion_at`]
+//! and [`Drive::surfaces`] return its ground truth. The same options and seed give the same bytes,
+//! on any number of threads.
 //!
-//! Frames (REP 103 and 105): `map` is the place's; `base_link` lies between the robot's wheels on
-//! the floor, x forward and y left, and pitches as the base balances; `velodyne` is
-//! [`SENSOR_HEIGHT_M`] above it.
+//! ```
+//! use std::io::Cursor;
+//!
+//! use simulate::{Campus, Options, write_drive};
+//!
+//! let options = Options { length_m: 4.0, ..Options::default() };
+//! let campus = Campus::new(&options, 2436)?;
+//! let mut log = Cursor::new(Vec::new());
+//! let summary = write_drive(&campus, 0, 0, &mut log)?;
+//! assert_eq!(summary.duration_s, 2.0); // 4 m at 2 m/s
+//! assert!(log.into_inner().starts_with(b"\x89MCAP"));
+//!
+//! let drive = campus.drive(0);
+//! let start = drive.pose_at(drive.start_ns());
+//! let end = drive.pose_at(drive.end_ns());
+//! assert!(3.0 < start.distance_m(&end)); // the path sways a little
+//! # Ok::<(), simulate::SimulateError>(())
+//! ```
+//!
+//! Frames follow REP 103 and REP 105. `map` is fixed to the site. `base_link` lies on the floor,
+//! midway between the wheels, with x forward and y left; it pitches as the base balances.
+//! `velodyne` is [`SENSOR_HEIGHT_M`] above `base_link`.
 
 mod beam;
 mod campus;

@@ -1,4 +1,4 @@
-//! A drive as an MCAP log.
+//! Writes a drive as an MCAP log.
 
 use std::io::{Seek, Write};
 
@@ -11,50 +11,50 @@ use rayon::prelude::*;
 use crate::campus::Campus;
 use crate::drive::{Drive, MARGIN_NS, Motion, SENSOR_HEIGHT_M};
 use crate::random::{Purpose, Random};
-use crate::robot::{IMU_PERIOD_NS, ImuUnit, WHEELS_PERIOD_NS, Wheels};
+use crate::robot::{IMU_PERIOD_NS, ImuSensor, WHEELS_PERIOD_NS, Wheels};
 use crate::sensor::{Sensor, azimuth_step_counts, packet_period_ns, packets_per_message};
 use crate::{Compression, Encoding, Options, SimulateError};
 
-/// Topic of the sensor's packets.
+/// Topic of the lidar packets.
 pub const PACKETS_TOPIC: &str = "/velodyne_packets";
-/// Topic of the true poses.
+/// Topic of the ground-truth poses.
 pub const POSE_TOPIC: &str = "/ground_truth";
-/// Topic of the inertial measurement unit.
+/// Topic of the inertial measurement unit (IMU).
 pub const IMU_TOPIC: &str = "/imu/data";
-/// Topic of the wheels' speeds.
+/// Topic of the wheel speeds.
 pub const WHEELS_TOPIC: &str = "/wheel_states";
-/// Topics of the transforms.
+/// Topic of the dynamic transforms.
 pub const TF_TOPIC: &str = "/tf";
-/// Topic of the transforms that stay.
+/// Topic of the static transforms.
 pub const TF_STATIC_TOPIC: &str = "/tf_static";
 const MAP_FRAME: &str = "map";
 const ODOM_FRAME: &str = "odom";
 const BASE_FRAME: &str = "base_link";
 const IMU_FRAME: &str = "imu";
 const SENSOR_FRAME: &str = "velodyne";
-/// Time from one true pose to the next: 20 Hz \[ns\].
+/// Period of the ground-truth poses: 20 Hz \[ns\].
 pub const POSE_PERIOD_NS: i64 = 50_000_000;
-/// Uncompressed size of a chunk, about \[bytes\].
+/// Approximate uncompressed size of a chunk \[bytes\].
 const CHUNK_BYTES: u64 = 1 << 20;
-/// Zstandard's own default; higher levels gain little, the bytes are noise for the most part.
+/// The default level of Zstandard. Higher levels gain little, because most of the bytes are noise.
 const ZSTD_LEVEL: u32 = 3;
-/// Messages made at a time, on all threads, while the ones before are written.
+/// Number of messages made in parallel while the previous ones are written.
 const WINDOW: u64 = 16;
 
-/// What was written.
+/// Summary of a written file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DriveSummary {
-    /// Whole turns of the sensor.
-    pub turns: u64,
-    /// Data packets.
+    /// Number of whole revolutions of the lidar.
+    pub revolutions: u64,
+    /// Number of data packets.
     pub packets: u64,
-    /// Way driven \[m\].
+    /// Distance driven \[m\].
     pub length_m: f64,
-    /// Time driven \[s\].
+    /// Duration \[s\].
     pub duration_s: f64,
 }
 
-/// How one encoding is named in an MCAP file.
+/// Profile and message encoding of an MCAP file.
 #[derive(Clone, Copy)]
 struct Dialect {
     profile: &'static str,
@@ -70,7 +70,7 @@ impl Dialect {
     }
 }
 
-/// What is written to a topic.
+/// The topics of a log and their message types.
 const TOPICS: [(&str, MessageType); 6] = [
     (PACKETS_TOPIC, MessageType::VelodyneScan),
     (POSE_TOPIC, MessageType::PoseStamped),
@@ -88,15 +88,14 @@ struct Encoded {
     n_packets: u64,
 }
 
-/// Writes file number `file` (below [`Options::files`]) of the drive of log number `log` (an index
-/// into [`Options::logs`]) as MCAP.
+/// Writes one file of the drive of a log as MCAP. `log` is an index into [`Options::logs`], and `file`
+/// is less than [`Options::files`].
 ///
-/// [`PACKETS_TOPIC`] carries a `VelodyneScan` per turn's worth of packets, stamped and logged with
-/// the stamp of its last packet as `velodyne_driver` does. The other topics span a little more than
-/// the packets: [`POSE_TOPIC`] at 20 Hz, [`IMU_TOPIC`] at 100 Hz, [`WHEELS_TOPIC`] and [`TF_TOPIC`]
-/// at 50 Hz. Every file begins with [`TF_STATIC_TOPIC`]. The bytes depend on the campus and the
-/// log's number alone, not on the number of threads; memory does not grow with the number of
-/// messages.
+/// [`PACKETS_TOPIC`] has one `VelodyneScan` per revolution. As with `velodyne_driver`, its header
+/// stamp and its log time are the stamp of its last packet. The other topics start a little before
+/// the packets and end a little after them: [`POSE_TOPIC`] at 20 Hz, [`IMU_TOPIC`] at 100 Hz,
+/// [`WHEELS_TOPIC`] and [`TF_TOPIC`] at 50 Hz. Every file starts with [`TF_STATIC_TOPIC`]. The bytes
+/// do not depend on the number of threads. Memory use does not grow with the number of messages.
 pub fn write_drive<W: Write + Seek>(
     campus: &Campus,
     log: usize,
@@ -112,7 +111,7 @@ pub fn write_drive<W: Write + Seek>(
     let sensor = Sensor::new(options);
     let dialect = Dialect::of(options.encoding);
     let (first, end) = (first_message(options, file), first_message(options, file + 1));
-    let stamps = Stamps::of(drive, options, file);
+    let range = TimeRange::of(drive, options, file);
 
     let mut writer = LogWriter::new(out, campus, log, file, dialect)?;
     let window = |from: u64| -> Vec<Encoded> {
@@ -121,7 +120,7 @@ pub fn write_drive<W: Write + Seek>(
             .map(|message| {
                 let mut noise = Random::new(campus.seed(), Purpose::Noise, log, message);
                 let packets = sensor.packets(drive, message, &mut noise);
-                // The stamp does not depend on which packets are lost.
+                // The stamp of the message if all of its packets are lost.
                 let n = (message + 1) * packets_per_message(options);
                 let stamp_ns = drive.first_firing_ns() + n as i64 * packet_period_ns(options);
                 let stamp_ns = packets.last().map_or(stamp_ns, |(stamp_ns, _)| *stamp_ns);
@@ -132,7 +131,7 @@ pub fn write_drive<W: Write + Seek>(
             })
             .collect()
     };
-    let mut robot = robot_messages(campus, log, stamps, dialect).peekable();
+    let mut robot = robot_messages(campus, log, range, dialect).peekable();
     let mut packets = 0;
     let mut from = first;
     let mut ready = window(from);
@@ -161,7 +160,7 @@ pub fn write_drive<W: Write + Seek>(
     let turned_counts = n_firings.round() * azimuth_step_counts(options.spin_hz);
     let n_files = f64::from(options.files);
     Ok(DriveSummary {
-        turns: (turned_counts / 36_000.0) as u64,
+        revolutions: (turned_counts / 36_000.0) as u64,
         packets,
         length_m: options.length_m / n_files,
         duration_s: options.duration_s() / n_files,
@@ -170,39 +169,39 @@ pub fn write_drive<W: Write + Seek>(
 
 const BLOCK_NS: i64 = messages::hdl32e::BLOCK_PERIOD_NS;
 
-/// How many whole messages fit into a drive.
+/// Number of whole messages in a drive.
 pub(crate) fn n_messages(options: &Options) -> u64 {
     let spare_s = options.duration_s() - 2.0 * MARGIN_S;
     (spare_s / message_s(options)).max(0.0) as u64
 }
 
-/// The first message of a file; of the one after the last, the number of all messages.
+/// The first message of a file. For `file` = [`Options::files`] it is the number of all messages.
 fn first_message(options: &Options, file: u32) -> u64 {
     n_messages(options) * u64::from(file) / u64::from(options.files)
 }
 
-/// The shortest drive that a message fits into \[s\].
+/// Duration of the shortest drive with one message \[s\].
 pub(crate) fn shortest_s(options: &Options) -> f64 {
     message_s(options) + 2.0 * MARGIN_S
 }
 
 const MARGIN_S: f64 = MARGIN_NS as f64 * 1e-9;
 
-/// Time that a message's packets take \[s\].
+/// Duration of the packets of a message \[s\].
 pub(crate) fn message_s(options: &Options) -> f64 {
     packets_per_message(options) as f64 * packet_period_ns(options) as f64 * 1e-9
 }
 
-/// What the robot says in a file, besides its packets: from `from_ns` on and before `to_ns`.
+/// Time range of the messages of a file, except packets: `from_ns` is included, `to_ns` is not.
 #[derive(Clone, Copy)]
-struct Stamps {
+struct TimeRange {
     from_ns: i64,
     to_ns: i64,
 }
 
-impl Stamps {
+impl TimeRange {
     fn of(drive: &Drive, options: &Options, file: u32) -> Self {
-        // A message is logged when its last packet is complete.
+        // The log time of a message is the end of its last packet.
         let border_ns = |file: u32| match file {
             0 => drive.start_ns(),
             n if n == options.files => drive.end_ns() + 1,
@@ -215,16 +214,16 @@ impl Stamps {
     }
 }
 
-/// Everything but packets, in order of time.
+/// All messages except packets, in order of time.
 fn robot_messages<'a>(
     campus: &'a Campus,
     log: usize,
-    Stamps { from_ns, to_ns }: Stamps,
+    TimeRange { from_ns, to_ns }: TimeRange,
     dialect: Dialect,
 ) -> impl Iterator<Item = Encoded> + 'a {
     let (options, seed, drive) = (campus.options(), campus.seed(), campus.drive(log));
     let mut wheels = Wheels::new(drive, &options.wheels, seed, log);
-    let mut imu = ImuUnit::new(drive, &options.imu, seed, log);
+    let mut imu = ImuSensor::new(drive, &options.imu, seed, log);
     let wire = dialect.wire;
     let first = Encoded {
         topic: TF_STATIC_TOPIC,
@@ -232,7 +231,7 @@ fn robot_messages<'a>(
         bytes: ros::write_tf(wire, &mounted_sensor(options, from_ns)),
         n_packets: 0,
     };
-    // What comes before the file counts for the errors that add up.
+    // Sensor errors accumulate, so readings before the start of the file are simulated as well.
     let ticks = (drive.start_ns()..to_ns).step_by(IMU_PERIOD_NS as usize);
     let later = ticks.flat_map(move |stamp_ns| {
         let passed_ns = stamp_ns - drive.start_ns();
@@ -262,13 +261,14 @@ fn robot_messages<'a>(
     std::iter::once(first).chain(later)
 }
 
-/// Quaternion (x, y, z, w) of a turn about z, then about the turned y.
+/// Quaternion (x, y, z, w) of a rotation about z, then about the rotated y.
 fn orientation(heading_rad: f64, pitch_rad: f64) -> [f64; 4] {
     let (sin, cos) = libm::sincos(heading_rad / 2.0);
     let (pitch_sin, pitch_cos) = libm::sincos(pitch_rad / 2.0);
     [-sin * pitch_sin, cos * pitch_sin, sin * pitch_cos, cos * pitch_cos]
 }
 
+/// The ground-truth pose.
 fn true_pose(motion: &Motion, stamp_ns: i64) -> StampedPose3 {
     StampedPose3 {
         stamp_ns,
@@ -277,9 +277,9 @@ fn true_pose(motion: &Motion, stamp_ns: i64) -> StampedPose3 {
     }
 }
 
-/// Where the sensor is on the base.
+/// Static transform of the lidar on the base.
 fn mounted_sensor(options: &Options, stamp_ns: i64) -> [Transform; 1] {
-    // Rolled by half a turn about x, or not.
+    // A sensor upside down is rolled by 180 deg about x.
     let rotation = if options.upside_down { [1.0, 0.0, 0.0, 0.0] } else { [0.0, 0.0, 0.0, 1.0] };
     [Transform {
         stamp_ns,
@@ -290,8 +290,8 @@ fn mounted_sensor(options: &Options, stamp_ns: i64) -> [Transform; 1] {
     }]
 }
 
-/// map -> odom -> base_link: what the wheels drift by, and where they would have the robot. The
-/// pitch belongs to the base.
+/// The transforms map -> odom (drift of the wheel odometry) and odom -> base_link (pose by wheel
+/// odometry, with the true pitch).
 fn transforms(motion: &Motion, odom_from_base: &Pose2, stamp_ns: i64) -> [Transform; 2] {
     let heading_rad = motion.pose.heading_rad - odom_from_base.heading_rad;
     let (sin, cos) = libm::sincos(heading_rad);
@@ -312,7 +312,7 @@ fn transforms(motion: &Motion, odom_from_base: &Pose2, stamp_ns: i64) -> [Transf
     ]
 }
 
-/// An MCAP file with all topics.
+/// Writer of an MCAP file with all topics.
 struct LogWriter<W: Write + Seek> {
     writer: Writer<W>,
     channels: Vec<Channel>,
@@ -342,7 +342,7 @@ impl<W: Write + Seek> LogWriter<W> {
             .library("loopboost simulate")
             .compression(compression)
             .compression_level(level)
-            // With threads of its own Zstandard cuts the input, and gives other bytes.
+            // With several threads Zstandard splits the input differently, which changes the bytes.
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES))
             .create(out)?;

@@ -1,7 +1,7 @@
-//! A floor plan from a map of ROS `map_server`: a YAML file and a PGM image.
+//! An occupancy grid map of ROS `map_server` (a YAML file and a PGM image) as a site.
 //!
-//! Source: `map_server`, "Map format": image, resolution, origin (of the lower left pixel), negate,
-//! and the shares from which a pixel is occupied and up to which it is free; darker is more
+//! Source: `map_server`, "Map format". The keys are `image`, `resolution`, `origin` (of the lower
+//! left pixel), `negate`, `occupied_thresh` and `free_thresh`. A darker pixel is more likely to be
 //! occupied.
 
 use std::cmp::Reverse;
@@ -13,42 +13,46 @@ use crate::plane::{Point, Rect, Segment, Vector};
 use crate::random::Random;
 use crate::route::Route;
 
-/// The robot's middle keeps at least this far from whatever is not free \[m\].
+/// Minimum distance of the centre of the robot from everything that is not free \[m\].
 pub(crate) const CLEARANCE_M: f64 = 0.45;
-/// Ways avoid what is nearer than this, where they can \[m\].
-const COMFORT_M: f64 = 1.2;
-/// Every way is kept to the right by this, so that ways there and back make a loop \[m\].
+/// Routes avoid obstacles nearer than this where possible \[m\].
+const PREFERRED_CLEARANCE_M: f64 = 1.2;
+/// Routes are shifted to the right by this. A route out and back along the same corridor is then a
+/// loop \[m\].
 const KEEP_RIGHT_M: f64 = 0.12;
-/// Distance between control points of a way \[m\].
+/// Distance between the control points of a route \[m\].
 const SPACING_M: f64 = 0.9;
-/// Places that a drive goes to, one after the other, before it comes back.
-const N_PLACES: usize = 6;
-/// Lanes for people: their number, and how long they are at least \[m\].
+/// Number of waypoints of a route before it returns to its start.
+const N_WAYPOINTS: usize = 6;
+/// Largest number of lanes for people.
 const N_LANES: usize = 40;
-const LANE_M: f64 = 4.0;
-/// A gap in a wall between two wider places is a doorway if it is so wide \[m\].
+/// Minimum length of a lane \[m\].
+const MIN_LANE_M: f64 = 4.0;
+/// Minimum and maximum width of a doorway, a gap in a wall between two wider spaces \[m\].
 const DOORWAY_M: (f64, f64) = (0.7, 1.5);
-/// How far before and behind a doorway it is wider, by how much \[m, times\].
+/// Distance before and behind a doorway at which the space must be wider \[m\].
 const BEFORE_DOORWAY_M: f64 = 0.6;
-const WIDER: f64 = 1.6;
-/// Pixels of a map at most.
+/// How many times wider than the doorway that space must be.
+const MIN_WIDENING: f64 = 1.6;
+/// Largest number of pixels of a map.
 const MAX_PIXELS: usize = 100_000_000;
 
-/// A map, and where a robot can drive on it.
+/// An occupancy grid map, and where a robot can drive on it.
 #[derive(Debug, Clone)]
 pub struct Map {
     n_x: usize,
     n_y: usize,
     resolution_m: f64,
-    /// Of the lower left pixel's lower left corner.
+    /// Lower left corner of the lower left pixel.
     origin: Point,
-    /// Row by row from below.
+    /// Row by row, from the bottom.
     occupied: Vec<bool>,
-    /// Distance to what is not free, of the pixels that a robot can reach; 0 of all others \[m\].
+    /// Distance of each pixel to the nearest pixel that is not free; 0 where the robot cannot be
+    /// \[m\].
     clearance_m: Vec<f32>,
 }
 
-/// What the YAML file says.
+/// Contents of the YAML file.
 struct Header {
     image: PathBuf,
     resolution_m: f64,
@@ -59,18 +63,19 @@ struct Header {
 }
 
 impl Map {
-    /// The files that a map consists of: the YAML file and its image.
+    /// The files of a map: the YAML file and its image.
     pub fn files(yaml: &Path) -> Result<[PathBuf; 2], SimulateError> {
-        Ok([yaml.to_owned(), header(yaml)?.image])
+        Ok([yaml.to_owned(), read_header(yaml)?.image])
     }
 
     /// Reads a map.
     pub fn load(yaml: &Path) -> Result<Self, SimulateError> {
-        let header = header(yaml)?;
+        let header = read_header(yaml)?;
         let bytes = std::fs::read(&header.image)
-            .map_err(|e| fail(&header.image, format!("cannot be read: {e}")))?;
-        let (n_x, n_y, shades) = read_pgm(&bytes).map_err(|reason| fail(&header.image, reason))?;
-        // map_server: the share of darkness is the probability of being occupied.
+            .map_err(|source| SimulateError::ReadMap { path: header.image.clone(), source })?;
+        let (n_x, n_y, shades) =
+            read_pgm(&bytes).map_err(|reason| invalid(&header.image, reason))?;
+        // map_server: the darkness of a pixel is its probability of being occupied.
         let occupied_share = |shade: f64| if header.negate { shade } else { 1.0 - shade };
         let rows = || shades.chunks_exact(n_x).rev().flatten();
         let occupied: Vec<bool> =
@@ -86,22 +91,24 @@ impl Map {
         };
         map.clearance_m = map.reachable(&map.clearances(&free));
         if map.clearance_m.iter().all(|&clearance_m| clearance_m <= 0.0) {
-            let reason = format!("has no place that is {CLEARANCE_M} m from all that is not free");
-            return Err(fail(yaml, reason));
+            let reason = format!(
+                "the map has no room for the robot, expected a free pixel at least {CLEARANCE_M} m from every pixel that is not free"
+            );
+            return Err(invalid(yaml, reason));
         }
         Ok(map)
     }
 
-    /// The whole map.
+    /// The extent of the map.
     pub(crate) fn extent(&self) -> Rect {
         let size = Vector::new(self.n_x as f64, self.n_y as f64) * self.resolution_m;
         Rect::new(self.origin, self.origin + size)
     }
 
-    /// The borders between pixels that are occupied and pixels that are not.
+    /// The borders between occupied pixels and other pixels.
     pub(crate) fn walls(&self) -> Vec<Segment> {
         let is_occupied = |i: usize, j: usize| {
-            // One below the first wraps to a huge index.
+            // Index -1 wraps to a huge index, which is outside.
             i < self.n_x && j < self.n_y && self.occupied[j * self.n_x + i]
         };
         let corner =
@@ -131,7 +138,7 @@ impl Map {
         walls
     }
 
-    /// Straight stretches for people to walk up and down.
+    /// Straight lanes in which people walk up and down.
     pub(crate) fn lanes(&self, random: &mut Random) -> Vec<(Point, Point)> {
         let places = self.places();
         let has_room = |k: usize| 2.0 * CLEARANCE_M < f64::from(self.clearance_m[k]);
@@ -141,55 +148,56 @@ impl Map {
             let step = if random.chance(0.5) { 1 } else { self.n_x };
             let end = (from..self.clearance_m.len()).step_by(step).take_while(|&k| has_room(k));
             let Some(to) = end.last() else { continue };
-            let lane = (self.middle(from), self.middle(to));
-            if LANE_M < (lane.1 - lane.0).norm() && lanes.len() < N_LANES {
+            let lane = (self.centre(from), self.centre(to));
+            if MIN_LANE_M < (lane.1 - lane.0).norm() && lanes.len() < N_LANES {
                 lanes.push(lane);
             }
         }
         lanes
     }
 
-    /// To several places, one after the other, and back to the first, over and over.
+    /// A closed route through random waypoints.
     pub(crate) fn route(&self, is_reversed: bool, random: &mut Random) -> Route {
         let places = self.places();
         let start = places[random.index(places.len())];
-        let mut way = Vec::new();
+        let mut pixels = Vec::new();
         let mut from = start;
-        for k in 0..=N_PLACES {
-            // The farthest of several, so that drives get about.
+        for k in 0..=N_WAYPOINTS {
+            // The farthest of several candidates, to cover more of the map.
             let choices = (0..8).map(|_| places[random.index(places.len())]);
-            let distance_m = |&k: &usize| (self.middle(k) - self.middle(from)).norm();
+            let distance_m = |&k: &usize| (self.centre(k) - self.centre(from)).norm();
             let to = match k {
-                N_PLACES => start,
+                N_WAYPOINTS => start,
                 _ => {
                     choices.max_by(|a, b| distance_m(a).total_cmp(&distance_m(b))).unwrap_or(start)
                 }
             };
-            way.extend(self.way(from, to));
+            pixels.extend(self.shortest_path(from, to));
             from = to;
         }
         if is_reversed {
-            way.reverse();
+            pixels.reverse();
         }
-        let points: Vec<Point> = way.into_iter().map(|k| self.middle(k)).collect();
+        let points: Vec<Point> = pixels.into_iter().map(|k| self.centre(k)).collect();
         Route::along(&points, SPACING_M, KEEP_RIGHT_M)
     }
 
-    /// Gaps in walls between two wider places, each across where it begins.
+    /// Doorways: gaps in walls between two wider spaces. Each is a segment across the gap, at its
+    /// first row of pixels.
     pub(crate) fn doorways(&self) -> Vec<Segment> {
         let mut doorways = Vec::new();
-        for is_upright in [false, true] {
-            let (n_u, n_v) = if is_upright { (self.n_y, self.n_x) } else { (self.n_x, self.n_y) };
-            let is_occupied = |u: usize, v: usize| match is_upright {
+        for is_vertical in [false, true] {
+            let (n_u, n_v) = if is_vertical { (self.n_y, self.n_x) } else { (self.n_x, self.n_y) };
+            let is_occupied = |u: usize, v: usize| match is_vertical {
                 true => self.occupied[u * self.n_x + v],
                 false => self.occupied[v * self.n_x + u],
             };
             let point = |u: f64, v: f64| {
-                let pixels = if is_upright { Vector::new(v, u) } else { Vector::new(u, v) };
+                let pixels = if is_vertical { Vector::new(v, u) } else { Vector::new(u, v) };
                 self.origin + pixels * self.resolution_m
             };
             let before = (BEFORE_DOORWAY_M / self.resolution_m).ceil() as usize;
-            // The gap that a pixel is in, as far as it is of interest.
+            // Width of the gap that a pixel is in, up to about `most` pixels on each side.
             let width = |u: usize, v: usize, most: usize| {
                 let right = (u..n_u).take_while(|&u| !is_occupied(u, v)).take(most).count();
                 let left = (0..u).rev().take_while(|&u| !is_occupied(u, v)).take(most).count();
@@ -204,7 +212,7 @@ impl Map {
                         (Some(start), true) => {
                             let n = u - start;
                             let width_m = n as f64 * self.resolution_m;
-                            let wide = (WIDER * n as f64).ceil() as usize;
+                            let wide = (MIN_WIDENING * n as f64).ceil() as usize;
                             let is_wider = |v| wide <= width(usize::midpoint(start, u), v, wide);
                             if DOORWAY_M.0 <= width_m
                                 && width_m <= DOORWAY_M.1
@@ -215,7 +223,7 @@ impl Map {
                             }
                             from = None;
                         }
-                        // A gap begins behind something, not at the border.
+                        // A gap starts after an occupied pixel, not at the border of the map.
                         (None, false) if 0 < u && is_occupied(u - 1, v) => from = Some(u),
                         _ => {}
                     }
@@ -233,24 +241,24 @@ impl Map {
         doorways
     }
 
-    /// Floor on which a robot's middle can be \[m^2\].
+    /// Area of the floor that the centre of the robot can reach \[m^2\].
     pub(crate) fn floor_m2(&self) -> f64 {
         let n = self.clearance_m.iter().filter(|&&clearance_m| 0.0 < clearance_m).count();
         n as f64 * self.resolution_m * self.resolution_m
     }
 
-    /// Any place that a robot can reach.
+    /// A random place that the robot can reach.
     pub(crate) fn place(&self, random: &mut Random) -> Point {
         loop {
-            // There is one, or the map would have been refused.
+            // `load` rejects maps without such a place.
             let k = random.index(self.clearance_m.len());
             if 0.0 < self.clearance_m[k] {
-                return self.middle(k);
+                return self.centre(k);
             }
         }
     }
 
-    /// Distance of a place to what is not free; 0 where a robot cannot be \[m\].
+    /// Distance of a place to the nearest pixel that is not free; 0 where the robot cannot be \[m\].
     pub(crate) fn clearance_at_m(&self, at: Point) -> f64 {
         let pixels = (at - self.origin) / self.resolution_m;
         let is_on_map =
@@ -265,12 +273,12 @@ impl Map {
         (0..self.clearance_m.len()).filter(|&k| 0.0 < self.clearance_m[k]).collect()
     }
 
-    fn middle(&self, k: usize) -> Point {
+    fn centre(&self, k: usize) -> Point {
         let (i, j) = ((k % self.n_x) as f64 + 0.5, (k / self.n_x) as f64 + 0.5);
         self.origin + Vector::new(i, j) * self.resolution_m
     }
 
-    /// The pixels around one, with their distances in pixels.
+    /// The neighbours of a pixel, with their distances in pixels.
     fn neighbours(&self, k: usize) -> impl Iterator<Item = (usize, f64)> + use<> {
         let (n_x, n_y) = (self.n_x as i64, self.n_y as i64);
         let (i, j) = (k as i64 % n_x, k as i64 / n_x);
@@ -282,11 +290,12 @@ impl Map {
         })
     }
 
-    /// Distance of every pixel to the nearest that is not free, over pixels \[m\]; ways over pixels
-    /// are up to 8 % longer than straight ones.
+    /// Distance of every pixel to the nearest pixel that is not free \[m\]. Distances are measured
+    /// along 8-connected pixels, which is up to 8 % longer than a straight line; the result is scaled
+    /// to a lower bound.
     fn clearances(&self, free: &[bool]) -> Vec<f32> {
         let sources = (0..free.len()).filter(|&k| !free[k] || self.is_at_border(k));
-        let distances = self.spread(sources, |_| Some(1.0), None);
+        let distances = self.least_costs(sources, |_| Some(1.0), None);
         let scale = self.resolution_m / 1.083;
         distances.into_iter().map(|distance| (distance * scale) as f32).collect()
     }
@@ -296,7 +305,7 @@ impl Map {
         i == 0 || j == 0 || i + 1 == self.n_x || j + 1 == self.n_y
     }
 
-    /// Of the pixels with enough clearance the largest set that hangs together; 0 elsewhere.
+    /// Keeps the largest connected region of pixels with enough clearance; 0 elsewhere.
     fn reachable(&self, clearance_m: &[f32]) -> Vec<f32> {
         let is_wide = |k: usize| CLEARANCE_M <= f64::from(clearance_m[k]);
         let mut group = vec![0u32; clearance_m.len()];
@@ -323,19 +332,19 @@ impl Map {
         (0..group.len()).map(|k| if kept(k) { clearance_m[k] } else { 0.0 }).collect()
     }
 
-    /// The best way from pixel to pixel: short, but rather in the middle.
-    fn way(&self, from: usize, to: usize) -> Vec<usize> {
+    /// The shortest path between two pixels, where pixels near obstacles cost more.
+    fn shortest_path(&self, from: usize, to: usize) -> Vec<usize> {
         let cost = |k: usize| {
             let clearance_m = f64::from(self.clearance_m[k]);
-            let crowded = ((COMFORT_M - clearance_m) / COMFORT_M).max(0.0);
+            let crowded = ((PREFERRED_CLEARANCE_M - clearance_m) / PREFERRED_CLEARANCE_M).max(0.0);
             (0.0 < clearance_m).then_some(1.0 + 12.0 * crowded * crowded)
         };
-        let distances = self.spread(std::iter::once(to), cost, Some(from));
-        let mut way = vec![from];
+        let distances = self.least_costs(std::iter::once(to), cost, Some(from));
+        let mut path = vec![from];
         let mut at = from;
         while at != to {
             let next = self.neighbours(at).min_by(|(a, da), (b, db)| {
-                // The step's own length settles which of two is on the way.
+                // The length of the step breaks ties.
                 let through = |k: usize, step: f64| distances[k] + step * 1e-6;
                 through(*a, *da).total_cmp(&through(*b, *db)).then(a.cmp(b))
             });
@@ -343,14 +352,14 @@ impl Map {
                 Some((next, _)) if distances[next] < distances[at] => at = next,
                 _ => break,
             }
-            way.push(at);
+            path.push(at);
         }
-        way
+        path
     }
 
-    /// Dijkstra's algorithm: the least cost of every pixel from the sources, until `to` is reached.
-    /// Equal costs are taken in order of the pixels.
-    fn spread(
+    /// Dijkstra's algorithm: the least cost of every pixel from the sources. Stops when it reaches
+    /// `to`. Visits pixels of equal cost in order of their index.
+    fn least_costs(
         &self,
         sources: impl Iterator<Item = usize>,
         cost: impl Fn(usize) -> Option<f64>,
@@ -363,7 +372,7 @@ impl Map {
             open.push(Reverse((0u64, source)));
         }
         while let Some(Reverse((bits, k))) = open.pop() {
-            // Positive floats are in the order of their bits.
+            // Positive floats sort in the order of their bits.
             if costs[k] < f64::from_bits(bits) {
                 continue;
             }
@@ -383,14 +392,14 @@ impl Map {
     }
 }
 
-fn fail(path: &Path, reason: impl Into<String>) -> SimulateError {
+fn invalid(path: &Path, reason: impl Into<String>) -> SimulateError {
     SimulateError::Map { path: path.to_owned(), reason: reason.into() }
 }
 
-/// Reads the few keys of the YAML file, one a line.
-fn header(yaml: &Path) -> Result<Header, SimulateError> {
-    let text =
-        std::fs::read_to_string(yaml).map_err(|e| fail(yaml, format!("cannot be read: {e}")))?;
+/// Reads the keys of the YAML file, one per line.
+fn read_header(yaml: &Path) -> Result<Header, SimulateError> {
+    let text = std::fs::read_to_string(yaml)
+        .map_err(|source| SimulateError::ReadMap { path: yaml.to_owned(), source })?;
     let value = |key: &str| {
         text.lines().find_map(|line| {
             let (name, value) = line.split_once(':')?;
@@ -403,25 +412,25 @@ fn header(yaml: &Path) -> Result<Header, SimulateError> {
             .parse::<f64>()
             .ok()
             .filter(|number| number.is_finite())
-            .ok_or_else(|| fail(yaml, format!("`{key}` is `{text}`, expected a number"))),
-        None => default.ok_or_else(|| fail(yaml, format!("`{key}` is missing"))),
+            .ok_or_else(|| invalid(yaml, format!("`{key}` is `{text}`, expected a number"))),
+        None => default.ok_or_else(|| invalid(yaml, format!("`{key}` is missing"))),
     };
-    let image = value("image").ok_or_else(|| fail(yaml, "`image` is missing"))?;
-    let origin = value("origin").ok_or_else(|| fail(yaml, "`origin` is missing"))?;
+    let image = value("image").ok_or_else(|| invalid(yaml, "`image` is missing"))?;
+    let origin = value("origin").ok_or_else(|| invalid(yaml, "`origin` is missing"))?;
     let numbers: Vec<f64> = (origin.trim_matches(['[', ']']).split(','))
         .filter_map(|text| text.trim().parse().ok())
         .collect();
     let &[x, y, yaw] = &numbers[..] else {
-        return Err(fail(yaml, format!("`origin` is `{origin}`, expected [x, y, yaw]")));
+        return Err(invalid(yaml, format!("`origin` is `{origin}`, expected [x, y, yaw]")));
     };
     if yaw != 0.0 {
-        return Err(fail(yaml, format!("the yaw of `origin` is {yaw}, expected 0")));
+        return Err(invalid(yaml, format!("the yaw of `origin` is {yaw}, expected 0")));
     }
     let resolution_m = number("resolution", None)?;
     if !(0.001..=10.0).contains(&resolution_m) {
-        return Err(fail(
+        return Err(invalid(
             yaml,
-            format!("`resolution` is {resolution_m}, expected 0.001 to 10 m a pixel"),
+            format!("`resolution` is {resolution_m}, expected 0.001 to 10 m per pixel"),
         ));
     }
     Ok(Header {
@@ -434,11 +443,11 @@ fn header(yaml: &Path) -> Result<Header, SimulateError> {
     })
 }
 
-/// Width, height and shades from 0 (black) to 1, row by row from above, of a PGM image (netpbm,
-/// "PGM Format Specification"), plain (P2) or raw (P5).
+/// Reads a PGM image, plain (P2) or raw (P5): width, height, and shades from 0 (black) to 1, row by
+/// row from the top (netpbm, "PGM Format Specification").
 fn read_pgm(bytes: &[u8]) -> Result<(usize, usize, Vec<f64>), String> {
     let mut at = 2;
-    let mut word = |bytes: &[u8]| -> Option<usize> {
+    let mut number = |bytes: &[u8]| -> Option<usize> {
         loop {
             match bytes.get(at)? {
                 b'#' => at += bytes[at..].iter().position(|&b| b == b'\n')?,
@@ -454,21 +463,21 @@ fn read_pgm(bytes: &[u8]) -> Result<(usize, usize, Vec<f64>), String> {
     let is_raw = match bytes.get(..2) {
         Some(b"P5") => true,
         Some(b"P2") => false,
-        _ => return Err("is no PGM image: expected P2 or P5 at its start".to_owned()),
+        _ => return Err("is not a PGM image, expected P2 or P5 at the start".to_owned()),
     };
-    let mut next = || word(bytes).ok_or_else(|| "ends within its header".to_owned());
+    let mut next = || number(bytes).ok_or_else(|| "is truncated in the header".to_owned());
     let (n_x, n_y, most) = (next()?, next()?, next()?);
     let n = n_x.checked_mul(n_y).filter(|n| (1..=MAX_PIXELS).contains(n));
-    let n = n.ok_or_else(|| format!("is {n_x} x {n_y}, expected 1 to {MAX_PIXELS} pixels"))?;
+    let n = n.ok_or_else(|| format!("has {n_x} x {n_y} pixels, expected 1 to {MAX_PIXELS}"))?;
     if !(1..=255).contains(&most) {
-        return Err(format!("has shades up to {most}, expected up to 255"));
+        return Err(format!("has a maximum shade of {most}, expected 1 to 255"));
     }
     let shades: Vec<usize> = match is_raw {
         true => bytes.get(at + 1..).unwrap_or_default().iter().map(|&b| b.into()).take(n).collect(),
-        false => std::iter::from_fn(|| word(bytes)).take(n).collect(),
+        false => std::iter::from_fn(|| number(bytes)).take(n).collect(),
     };
     match shades.len() {
-        found if found < n => Err(format!("holds {found} pixels, expected {n}")),
+        found if found < n => Err(format!("contains {found} pixels, expected {n}")),
         _ => Ok((n_x, n_y, shades.iter().map(|&s| s as f64 / most as f64).collect())),
     }
 }

@@ -1,30 +1,31 @@
-//! What changes on a map from day to day: furniture is moved, doors are shut.
+//! What changes on a map from day to day: furniture moves, doors open and close.
 
-use crate::day::turned;
+use crate::day::rotated_rect;
 use crate::map::{CLEARANCE_M, Map};
 use crate::plane::{Point, Segment, Vector};
 use crate::random::Random;
 use crate::world::{Surface, prism};
 
-/// Floor that a robot can reach for each piece of furniture \[m^2\], and pieces at most.
+/// Reachable floor area per piece of furniture \[m^2\].
 const FLOOR_PER_PIECE_M2: f64 = 12.0;
+/// Largest number of pieces of furniture.
 const MAX_PIECES: usize = 500;
-/// Share of furniture that stands anywhere on a day, and not where it usually does.
+/// Fraction of the furniture that is moved to a random position on a given day.
 const MOVED_SHARE: f64 = 0.25;
-/// Share of the doors that are shut on a day.
-const SHUT_SHARE: f64 = 0.5;
+/// Fraction of the doors that are closed on a given day.
+const CLOSED_SHARE: f64 = 0.5;
 const DOOR_REFLECTIVITY: f64 = 0.4;
 
-/// Furniture and doors of a map, the same on every day but for where they stand.
+/// Furniture and doors of a map. Only their positions change from day to day.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Loose {
+pub(crate) struct Movables {
     furniture: Vec<Piece>,
     doors: Vec<Segment>,
 }
 
 #[derive(Debug, Clone, Copy)]
 struct Piece {
-    /// Where it usually stands.
+    /// Its usual position.
     centre: Point,
     size: (f64, f64),
     height_m: f64,
@@ -32,7 +33,7 @@ struct Piece {
     reflectivity: f64,
 }
 
-impl Loose {
+impl Movables {
     pub(crate) fn draw(map: &Map, random: &mut Random) -> Self {
         let n = (map.floor_m2() / FLOOR_PER_PIECE_M2) as usize;
         let piece = |_| Piece {
@@ -45,12 +46,12 @@ impl Loose {
         Self { furniture: (0..n.min(MAX_PIECES)).map(piece).collect(), doors: map.doorways() }
     }
 
-    /// Surfaces of a day on which a robot drives along `way`, up to a ceiling: what would be in its
-    /// way, or in a wall, is not there.
+    /// The surfaces of one day. `route` is the path of the robot on that day: furniture and doors
+    /// that would block it, and furniture that would overlap a wall, are left out.
     pub(crate) fn day(
         &self,
         map: &Map,
-        way: &[Point],
+        route: &[Point],
         ceiling_m: f64,
         random: &mut Random,
     ) -> Vec<Surface> {
@@ -58,18 +59,18 @@ impl Loose {
         for piece in &self.furniture {
             let shift = Vector::new(0.2 * random.normal(), 0.2 * random.normal());
             let anywhere = map.place(random);
-            let turn = 0.1 * random.normal();
+            let rotation_rad = 0.1 * random.normal();
             let centre = if random.chance(MOVED_SHARE) { anywhere } else { piece.centre + shift };
             let reach_m = 0.5 * (piece.size.0 * piece.size.0 + piece.size.1 * piece.size.1).sqrt();
             let is_clear = |at: &Point| reach_m + CLEARANCE_M < (at - centre).norm();
-            if reach_m < map.clearance_at_m(centre) && way.iter().all(is_clear) {
-                let corners = turned(centre, piece.size, piece.angle + turn);
+            if reach_m < map.clearance_at_m(centre) && route.iter().all(is_clear) {
+                let corners = rotated_rect(centre, piece.size, piece.angle + rotation_rad);
                 surfaces.extend(prism(&corners, (0.0, piece.height_m), piece.reflectivity));
             }
         }
         for &door in &self.doors {
-            let is_shut = random.chance(SHUT_SHARE);
-            if is_shut && way.iter().all(|&at| CLEARANCE_M < door.distance_m(at)) {
+            let is_closed = random.chance(CLOSED_SHARE);
+            if is_closed && route.iter().all(|&at| CLEARANCE_M < door.distance_m(at)) {
                 surfaces.push(Surface::solid(door, (0.0, ceiling_m), DOOR_REFLECTIVITY));
             }
         }

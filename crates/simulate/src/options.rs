@@ -1,89 +1,93 @@
-//! What to simulate, and what makes no sense to ask for.
+//! The options of a simulation, and their limits.
 
 use serde::{Deserialize, Serialize};
 
 use crate::SimulateError;
 use crate::log::{message_s, shortest_s};
 
-/// What to simulate; the `[simulate]` section of a pipeline file.
+/// Options of the simulation: the `[simulate]` section of a pipeline file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "SimulateOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Names of the logs, the stems of their files. Each is a drive on a day of its own through
-    /// the same place: other doors open, furniture moved, other cars, other people; every other
-    /// drive goes the other way around. Default: `["lap-1", "lap-2"]`.
+    /// Names of the logs, used as file stems. Each log is one drive through the same site on a
+    /// different day: doors, furniture, parked cars and people change. Every second drive goes in
+    /// the opposite direction. Default: `["lap-1", "lap-2"]`.
     pub logs: Vec<String>,
-    /// Buildings. One is a building of 120 m x 80 m without a world around it; with more, these
-    /// stand on a campus, and the drive goes in and out of each: a lap is about 230 m a building.
-    /// All drives on a campus begin at its dock, the origin of the map frame. Default: 1.
+    /// Number of buildings. With 1, the site is a single building of 120 m x 80 m without
+    /// surroundings. With more, the site is a campus, and the drive enters and leaves each
+    /// building; a lap is about 230 m per building. All drives on a campus start at its dock, the
+    /// origin of the map frame. Default: 1.
     pub buildings: u32,
-    /// A map instead: the YAML file of ROS `map_server`, relative to the pipeline file; its image
-    /// must be a PGM. Walls stand where it is occupied, and the drive goes wherever there is room;
-    /// from day to day furniture moves and doors are shut in what looks like a doorway.
+    /// Occupancy grid map to use as the site instead of generated buildings: the path of a ROS
+    /// `map_server` YAML file, relative to the pipeline file. Its image must be a PGM. Occupied
+    /// pixels are walls, and the robot drives through the free space. From day to day furniture
+    /// moves, and doors in detected doorways open and close.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub map: Option<String>,
-    /// Way driven in each log \[m\]. In one building revisits begin after one block, at most
-    /// 180 m; a lap through all its corridors is about 980 m. Default: 400.
+    /// Distance driven in each log \[m\]. In a single building, revisits start after one block (at
+    /// most 180 m), and a lap through all corridors is about 980 m. Default: 400.
     pub length_m: f64,
-    /// Mean speed of the robot, stops included \[m/s\]; it slows down in turns. Default: 2.
+    /// Mean speed of the robot, including stops \[m/s\]. The robot slows down in turns. Default: 2.
     pub speed_m_s: f64,
-    /// Rocking of the balancing base, amplitude \[deg\]. It also leans into every acceleration; 0
-    /// holds it level throughout. Default: 0.4.
+    /// Amplitude of the pitch oscillation of the self-balancing base \[deg\]. The base also pitches
+    /// when it accelerates. 0 keeps it level at all times. Default: 0.4.
     pub rocking_deg: f64,
-    /// People that walk about. Default: 12.
+    /// Number of people walking around. Default: 12.
     pub people: u32,
 
-    /// Turns of the sensor per second, 5 to 20 \[Hz\]. Default: 10.
+    /// Revolutions of the lidar per second, 5 to 20 \[Hz\]. Default: 10.
     pub spin_hz: f64,
-    /// Standard deviation of a range, normal \[m\]. Default: 0.004, as measured on a real sensor.
+    /// Standard deviation of the range noise \[m\]. Default: 0.004, as measured on a real sensor.
     pub range_noise_m: f64,
-    /// Share of returns that are lost at random, besides those that are lost on dark or slanted
-    /// surfaces. Default: 0.005.
+    /// Fraction of returns lost at random, in addition to returns lost on dark surfaces or at
+    /// grazing angles. Default: 0.005.
     pub dropout: f64,
-    /// Share of the beams split by an edge that give a range between the two surfaces.
+    /// Fraction of the beams split by an edge that measure a range between the two surfaces.
     /// Default: 0.5.
     pub mixed_pixels: f64,
-    /// Share of packets that are lost at random. Default: 0.
+    /// Fraction of packets lost at random. Default: 0.
     pub packet_loss: f64,
-    /// Whether the sensor hangs upside down, rolled by 180 deg about its x axis: its azimuth then
-    /// runs counter-clockwise seen from above. Default: false.
+    /// Whether the lidar is mounted upside down (rolled by 180 deg about its x axis). Its azimuth
+    /// then increases counter-clockwise, seen from above. Default: false.
     pub upside_down: bool,
-    /// Whether the sensor sends two returns of each firing, the last and the strongest, in twice
-    /// as many packets. Default: false.
+    /// Whether the lidar sends two returns per firing, the last and the strongest, in twice as many
+    /// packets. Default: false.
     pub dual_return: bool,
-    /// Which lasers return anything. Default: `"three"`.
+    /// Which lasers are simulated. Default: `"three"`.
     pub lasers: Lasers,
 
-    /// Encoding of the messages. Default: `"ros2"`.
+    /// Message encoding. Default: `"ros2"`.
     pub encoding: Encoding,
-    /// Compression of the chunks. Default: `"zstd"`.
+    /// Chunk compression. Default: `"zstd"`.
     pub compression: Compression,
-    /// Files that each log is split into, one after the other in time: `NAME/NAME_0.mcap` and so
-    /// on. Default: 1, `NAME.mcap`.
+    /// Number of files that each log is split into, in order of time: `NAME/NAME_0.mcap`,
+    /// `NAME/NAME_1.mcap`, ... With 1, the log is `NAME.mcap`. Default: 1.
     pub files: u32,
 
-    /// The wheels' encoders.
+    /// Wheel encoders.
     pub wheels: WheelOptions,
-    /// The inertial measurement unit.
+    /// Inertial measurement unit (IMU).
     pub imu: ImuOptions,
 }
 
-/// The encoders of the two wheels; `[simulate.wheels]`.
+/// Wheel encoders: the `[simulate.wheels]` section.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct WheelOptions {
     /// Distance between the wheels \[m\]. Default: 0.5.
     pub track_m: f64,
-    /// Standard deviation of the scale that both wheels share, drawn once a log. Default: 0.001.
+    /// Standard deviation of the scale error common to both wheels, drawn once per log.
+    /// Default: 0.001.
     pub scale_error: f64,
-    /// The same of half the difference between the two wheels' scales. Default: 0.0002.
+    /// Standard deviation of half the difference between the scales of the two wheels, drawn once
+    /// per log. Default: 0.0002.
     pub scale_difference: f64,
-    /// Slip of each wheel: standard deviation after 1 m, growing with the root of the path
-    /// \[m/sqrt(m)\]. Default: 0.003.
+    /// Slip of each wheel: standard deviation after 1 m, growing with the square root of the
+    /// distance \[m/sqrt(m)\]. Default: 0.003.
     pub slip: f64,
-    /// Path of one count of an encoder \[m\]. Default: 0.0005.
+    /// Distance per encoder count \[m\]. Default: 0.0005.
     pub count_m: f64,
 }
 
@@ -99,21 +103,21 @@ impl Default for WheelOptions {
     }
 }
 
-/// The inertial measurement unit; `[simulate.imu]`.
+/// Inertial measurement unit (IMU): the `[simulate.imu]` section.
 ///
-/// The defaults of the gyroscope are those of a fibre-optic one such as the North Campus robot
-/// carried (KVH DSP-3000 data sheet: angle random walk 0.067 deg/sqrt(h), bias 20 deg/h).
+/// The gyroscope defaults are those of a fibre-optic gyroscope, as on the North Campus robot (KVH
+/// DSP-3000 data sheet: angle random walk 0.067 deg/sqrt(h), bias 20 deg/h).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct ImuOptions {
-    /// White noise of an angular velocity \[rad/s/sqrt(Hz)\]. Default: 2e-5.
+    /// White noise of the angular velocity \[rad/s/sqrt(Hz)\]. Default: 2e-5.
     pub gyro_noise: f64,
-    /// Standard deviation of the bias at the start \[rad/s\]. Default: 1e-4.
+    /// Standard deviation of the initial gyroscope bias \[rad/s\]. Default: 1e-4.
     pub gyro_bias: f64,
-    /// Random walk of the bias \[rad/s/sqrt(s)\]. Default: 1e-7.
+    /// Random walk of the gyroscope bias \[rad/s/sqrt(s)\]. Default: 1e-7.
     pub gyro_bias_walk: f64,
-    /// White noise of a specific force \[m/s^2/sqrt(Hz)\]. Default: 2e-3.
+    /// White noise of the specific force \[m/s^2/sqrt(Hz)\]. Default: 2e-3.
     pub acceleration_noise: f64,
 }
 
@@ -150,28 +154,28 @@ impl Default for Options {
     }
 }
 
-/// Which lasers of the HDL-32E return anything.
+/// Which lasers of the HDL-32E are simulated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Lasers {
-    /// The horizontal one, 15, and its neighbours in firing order, 14 and 16, which look down:
-    /// what planar scans need, in a sixth of the bytes.
+    /// Lasers 14, 15 and 16 (firing order). Laser 15 is horizontal; the other two look down. This
+    /// is enough for planar scans, in a sixth of the bytes.
     #[default]
     Three,
-    /// All 32.
+    /// All 32 lasers.
     All,
 }
 
-/// How messages are laid out.
+/// How messages are encoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Encoding {
-    /// ROS 2: CDR, schemas as `ros2msg`.
+    /// ROS 2: CDR messages with `ros2msg` schemas.
     #[default]
     Ros2,
-    /// ROS 1, schemas as `ros1msg`.
+    /// ROS 1: ROS 1 messages with `ros1msg` schemas.
     Ros1,
 }
 
@@ -183,19 +187,19 @@ pub enum Compression {
     /// Zstandard.
     #[default]
     Zstd,
-    /// LZ4 frames.
+    /// LZ4.
     Lz4,
-    /// Not at all.
+    /// No compression.
     None,
 }
 
 impl Options {
-    /// How long each drive takes \[s\].
+    /// Duration of each drive \[s\].
     pub(crate) fn duration_s(&self) -> f64 {
         self.length_m / self.speed_m_s
     }
 
-    /// Refuses values out of range and names that are no file stems.
+    /// Returns an error for values out of range and for names that are not file stems.
     pub fn check(&self) -> Result<(), SimulateError> {
         if self.logs.is_empty() {
             return Err(SimulateError::NoLogs);
@@ -240,7 +244,7 @@ impl Options {
             let needed_m = shortest_s(self) * speed_m_s;
             return Err(SimulateError::TooShort { length_m, speed_m_s, needed_m });
         }
-        // A file without a turn of the sensor would be no part of a drive.
+        // Every file must contain at least two revolutions of the lidar.
         let most = (self.duration_s() / message_s(self) / 2.0).floor().max(1.0);
         if most < f64::from(self.files) {
             let (option, found) = ("files", f64::from(self.files));
@@ -250,7 +254,8 @@ impl Options {
     }
 }
 
-/// Whether every common file system takes the name, and no shell or glob reads it otherwise.
+/// Whether a name is valid on every common file system and has no special meaning in shells or
+/// globs.
 fn is_file_stem(name: &str) -> bool {
     name.len() <= 100
         && name.starts_with(|c: char| c.is_ascii_alphanumeric())

@@ -1,23 +1,23 @@
-//! A smooth path through control points, by length along it.
+//! A smooth path through control points, parametrized by arc length.
 
 use crate::plane::{Point, Vector, cross};
 use crate::route::Route;
 
-/// Steps of the table of path lengths in a span between control points.
+/// Entries of the arc length table per span between control points.
 const STEPS_PER_SPAN: usize = 8;
 
-/// A smooth path: a uniform cubic B-spline, so curvature is continuous, by length along it.
+/// A smooth path: a uniform cubic B-spline, parametrized by arc length. Its curvature is continuous.
 ///
 /// Memory: about 45 bytes per metre.
 #[derive(Debug, Clone)]
 pub(crate) struct Path {
     control: Vec<Point>,
-    /// Length from the start to each step of each span \[m\].
+    /// Arc length from the start to each step of each span \[m\].
     lengths: Vec<f64>,
 }
 
 impl Path {
-    /// Along a route, at least as long as given.
+    /// A path of at least `length_m` along a route.
     pub(crate) fn new(route: &Route, length_m: f64) -> Self {
         let control_point = |k: usize| route.control_point(k);
         let mut path = Self { control: (0..3).map(control_point).collect(), lengths: vec![0.0] };
@@ -34,7 +34,7 @@ impl Path {
         path
     }
 
-    /// Lengths from the start, and the curvature of the path there \[m, 1/m\].
+    /// Arc length and curvature at each step \[m, 1/m\].
     pub(crate) fn curvatures(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         self.lengths[..self.lengths.len() - 1].iter().enumerate().map(|(step, &length_m)| {
             let u = (step % STEPS_PER_SPAN) as f64 / STEPS_PER_SPAN as f64;
@@ -42,7 +42,7 @@ impl Path {
         })
     }
 
-    /// Curvature of a span: |p' x p''| / |p'|^3.
+    /// Curvature in a span: |p' x p''| / |p'|^3.
     fn curvature(&self, k: usize, u: f64) -> f64 {
         let [a, b, c, d] = [0, 1, 2, 3].map(|i| self.control[k + i].coords);
         let second = a * (1.0 - u) + b * (3.0 * u - 2.0) + c * (1.0 - 3.0 * u) + d * u;
@@ -51,13 +51,13 @@ impl Path {
         cross(first, second).abs() / (speed * speed * speed)
     }
 
-    /// Position and unit tangent after `length_m`.
+    /// Position and unit tangent at an arc length.
     pub(crate) fn at(&self, length_m: f64) -> (Point, Vector) {
         let after = self.lengths.partition_point(|&l| l <= length_m);
         let step = after.clamp(1, self.lengths.len() - 1) - 1;
         let (from, to) = (self.lengths[step], self.lengths[step + 1]);
         let rest_m = (length_m - from).clamp(0.0, to - from);
-        // In proportion first, then one step of Newton's method: good to a millionth of the step.
+        // Linear interpolation, then one step of Newton's method: accurate to a millionth of a step.
         let h = 1.0 / STEPS_PER_SPAN as f64;
         let (span, u0) = (step / STEPS_PER_SPAN, (step % STEPS_PER_SPAN) as f64 * h);
         let guess = h * rest_m / (to - from);
@@ -67,14 +67,14 @@ impl Path {
         (position, tangent.normalize())
     }
 
-    /// Length of span `k` from `u` to `u + h`, by Simpson's rule \[m\].
+    /// Arc length of span `k` from `u` to `u + h`, by Simpson's rule \[m\].
     fn stretch_m(&self, k: usize, u: f64, h: f64) -> f64 {
         let speed = |u: f64| self.spline(k, u).1.norm();
         h / 6.0 * (speed(u) + 4.0 * speed(u + h / 2.0) + speed(u + h))
     }
 
-    /// Value and derivative of the B-spline's span between control points `k + 1` and `k + 2`, at
-    /// `u` from 0 to 1.
+    /// Value and derivative of the B-spline in the span between control points `k + 1` and `k + 2`,
+    /// for `u` from 0 to 1.
     fn spline(&self, k: usize, u: f64) -> (Point, Vector) {
         let [a, b, c, d] = [0, 1, 2, 3].map(|i| self.control[k + i].coords);
         let v = 1.0 - u;

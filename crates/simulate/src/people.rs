@@ -1,4 +1,4 @@
-//! People that walk about.
+//! People walking around.
 
 use std::f64::consts::PI;
 
@@ -10,10 +10,10 @@ pub(crate) const PERSON_RADIUS_M: f64 = 0.25;
 /// Height of a person \[m\].
 pub(crate) const PERSON_HEIGHT_M: f64 = 1.75;
 
-/// A disc that walks up and down a corridor, keeping right, without end.
+/// A disc that walks up and down a corridor forever and keeps to the right.
 ///
-/// Its way is a stadium: two straights, `lane_m` to either side of the corridor's middle, joined
-/// by half circles.
+/// Its path is a stadium: two straight lines, `lane_m` to each side of the middle of the corridor,
+/// joined by half circles.
 #[derive(Debug, Clone)]
 pub(crate) struct Person {
     from: Point,
@@ -22,40 +22,40 @@ pub(crate) struct Person {
     straight_m: f64,
     lane_m: f64,
     speed_m_s: f64,
-    /// Way walked at time 0 \[m\].
+    /// Distance walked at time 0 \[m\].
     start_m: f64,
 }
 
 impl Person {
-    /// Where the person is, `time_s` after the drive's start.
+    /// The position of the person `time_s` after the start of the drive.
     pub(crate) fn position(&self, time_s: f64) -> Point {
         let half_circle_m = PI * self.lane_m;
         let lap_m = 2.0 * (self.straight_m + half_circle_m);
-        let way_m = (self.start_m + self.speed_m_s * time_s).rem_euclid(lap_m);
-        // The second half of a lap is the first, seen from the other end.
-        let is_back = lap_m / 2.0 <= way_m;
-        let (origin, along, way_m) = if is_back {
-            (self.from + self.along * self.straight_m, -self.along, way_m - lap_m / 2.0)
+        let walked_m = (self.start_m + self.speed_m_s * time_s).rem_euclid(lap_m);
+        // The second half of a lap mirrors the first, starting at the other end.
+        let is_back = lap_m / 2.0 <= walked_m;
+        let (origin, along, walked_m) = if is_back {
+            (self.from + self.along * self.straight_m, -self.along, walked_m - lap_m / 2.0)
         } else {
-            (self.from, self.along, way_m)
+            (self.from, self.along, walked_m)
         };
         let right = Vector::new(along.y, -along.x);
-        if way_m < self.straight_m {
-            origin + along * way_m + right * self.lane_m
+        if walked_m < self.straight_m {
+            origin + along * walked_m + right * self.lane_m
         } else {
-            let (sin, cos) = libm::sincos((way_m - self.straight_m) / self.lane_m);
+            let (sin, cos) = libm::sincos((walked_m - self.straight_m) / self.lane_m);
             origin + along * (self.straight_m + self.lane_m * sin) + right * (self.lane_m * cos)
         }
     }
 }
 
-/// The people of a day, each in a lane between two points.
+/// The people of one day, each in a lane between two points.
 pub(crate) fn people_of_day(
     lanes: &[(Point, Point)],
     n_people: u32,
     random: &mut Random,
 ) -> Vec<Person> {
-    // Where there is no lane there are no people.
+    // Without lanes there are no people.
     let n_people = if lanes.is_empty() { 0 } else { n_people };
     (0..n_people)
         .map(|_| {
@@ -81,9 +81,9 @@ pub(crate) fn people_of_day(
 mod tests {
     use super::*;
 
-    /// 10 m there, half a circle of radius 0.5 m (1.5708 m), 10 m back, half a circle.
+    /// 10 m out, a half circle of radius 0.5 m (1.5708 m), 10 m back, a half circle.
     #[test]
-    fn a_person_walks_up_and_down_on_the_right() {
+    fn a_person_walks_up_and_down_and_keeps_right() {
         let person = Person {
             from: Point::new(1.0, 2.0),
             along: Vector::new(1.0, 0.0),

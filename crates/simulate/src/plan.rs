@@ -1,75 +1,75 @@
 //! The floor plan of a building, the same on every day.
 //!
 //! ```text
-//!   row 2  o-----------o-----------o     Corridors run along x and along y; they meet in nodes `o`
-//!          | rooms     |     rooms |     (column, row), one of them in an atrium `A`. Rooms line
+//!   row 2  o-----------o-----------o     Corridors run along x and y and meet in nodes `o`
+//!          | rooms     |     rooms |     (column, row). One node is in the atrium `A`. Rooms line
 //!   row 1  o----------[A]----------o     both sides of each corridor, some of them behind glass.
-//!          | rooms     |     rooms |     This one, of 120 m x 80 m, stands alone; those of a
-//!   row 0  o-----------o-----------o     campus are smaller, with an entrance below row 0 and
-//!       column 0       1           2     windows in their facades.
+//!          | rooms     |     rooms |     This is a single building of 120 m x 80 m. Buildings on
+//!   row 0  o-----------o-----------o     a campus are smaller; they have an entrance below row 0
+//!       column 0       1           2     and windows in their facades.
 //! ```
 //!
-//! A corridor is a chain of sections; each has its own width, its own share of rooms, alcoves,
-//! pillars and blank wall, and its own size of rooms, so that no two look alike.
+//! A corridor is a chain of sections. Each section has its own width, its own mix of rooms, alcoves,
+//! pillars and blank wall, and its own room size. Different sections therefore look different.
 
 use crate::plane::{Point, Rect, Segment, Vector};
 use crate::random::Random;
 
 /// Thickness of the walls between rooms and corridors \[m\].
 const WALL_M: f64 = 0.2;
-/// Width of a corridor section \[m\].
+/// Minimum and maximum width of a corridor section \[m\].
 const CORRIDOR_WIDTH_M: (f64, f64) = (1.8, 3.0);
-/// Corridors at least as wide as this have things standing at their walls \[m\].
+/// Minimum width of corridors with boxes and pillars at their walls \[m\].
 const WIDE_M: f64 = 2.4;
-/// Around nodes nothing stands in the way: the robot turns there \[m\].
+/// Radius around nodes without obstacles, because the robot turns there \[m\].
 const NODE_CLEAR_M: f64 = 2.5;
-/// Depth of the niche that a closed door leaves in the corridor's wall \[m\].
+/// Depth of the niche of a closed door in the corridor wall \[m\].
 const NICHE_M: f64 = 0.05;
-/// Windows are let into the walls of rooms no farther than this from a facade \[m\].
+/// Maximum distance of a room from the facade for it to have windows \[m\].
 const WINDOW_DEPTH_M: f64 = 2.5;
-/// Share of rooms behind glass.
+/// Fraction of rooms with a glass front.
 const GLASS_SHARE: f64 = 0.2;
-/// Pillars of the atrium keep this far from the middle of both corridors \[m\].
+/// Minimum distance of the pillars in the atrium from the middle of both corridors \[m\].
 const PILLAR_CLEAR_M: f64 = 1.6;
 
-/// How large a building is, and how many corridors it has.
+/// Size of a building and number of its corridors.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shape {
-    /// Along x and y \[m\].
-    size: (f64, f64),
+    /// Size along x and y \[m\].
+    size_m: (f64, f64),
     columns: usize,
     rows: usize,
-    /// Limits of the distance from a facade to the corridor behind it \[m\].
-    margin: (f64, f64),
-    /// The column below whose first node the entrance is.
+    /// Minimum and maximum distance from a facade to the corridor behind it \[m\].
+    margin_m: (f64, f64),
+    /// Column of the entrance, which is below row 0.
     entrance: Option<usize>,
     atrium: (usize, usize),
     has_windows: bool,
 }
 
 impl Shape {
-    /// The building that stands alone.
+    /// A single building.
     pub(crate) fn alone() -> Self {
         Self {
-            size: (120.0, 80.0),
+            size_m: (120.0, 80.0),
             columns: 3,
             rows: 3,
-            margin: (9.0, 11.0),
+            margin_m: (9.0, 11.0),
             entrance: None,
             atrium: (1, 1),
             has_windows: false,
         }
     }
 
-    /// One of a campus.
+    /// A building on a campus.
     pub(crate) fn on_campus(random: &mut Random) -> Self {
         let size = (random.uniform(46.0, 66.0), random.uniform(34.0, 44.0));
         let columns = if 55.0 < size.0 { 3 } else { 2 };
         Self {
-            size: (size.0.round(), size.1.round()),
+            size_m: (size.0.round(), size.1.round()),
             columns,
             rows: 2,
-            margin: (6.5, 8.0),
+            margin_m: (6.5, 8.0),
             entrance: Some(random.index(columns)),
             atrium: (random.index(columns), random.index(2)),
             has_windows: true,
@@ -77,33 +77,35 @@ impl Shape {
     }
 }
 
-/// The part of a building that stays.
+/// The permanent part of a building.
 #[derive(Debug, Clone)]
 pub(crate) struct Plan {
-    /// The building's outline.
+    /// The outline of the building.
     pub(crate) building: Rect,
-    /// Where corridors meet, `nodes[column][row]`.
+    /// Where corridors meet: `nodes[column][row]`.
     pub(crate) nodes: Vec<Vec<Point>>,
-    /// The column of the entrance.
+    /// Column of the entrance.
     pub(crate) entrance: Option<usize>,
     pub(crate) sections: Vec<Section>,
     pub(crate) atrium: Rect,
-    /// Ceiling of corridors and rooms, of the atrium, and the roof \[m\].
+    /// Height of the ceiling of corridors and rooms \[m\].
     pub(crate) ceiling_m: f64,
+    /// Height of the ceiling of the atrium \[m\].
     pub(crate) atrium_ceiling_m: f64,
+    /// Height of the roof \[m\].
     pub(crate) roof_m: f64,
-    /// Share of light that its walls throw back.
+    /// Reflectivity of the walls.
     pub(crate) reflectivity: f64,
-    /// Free space besides doors: corridors, nodes, the atrium, alcoves, rooms.
+    /// Free space except doors: corridors, nodes, the atrium, alcoves, rooms.
     pub(crate) open: Vec<Rect>,
-    /// What stands in it: pillars at corridor walls.
+    /// Pillars at corridor walls, inside the free space.
     pub(crate) solid: Vec<Rect>,
     pub(crate) doors: Vec<Door>,
-    /// Panes from floor to ceiling, between rooms and corridors.
+    /// Glass fronts from floor to ceiling, between rooms and corridors.
     pub(crate) glass: Vec<Segment>,
-    /// Parts of the facade that are windows.
+    /// Windows in the facades.
     pub(crate) windows: Vec<Segment>,
-    /// The part of the facade that is open.
+    /// Openings in the facades.
     pub(crate) entrances: Vec<Segment>,
     pub(crate) furniture: Vec<Furniture>,
     /// Round pillars in the atrium.
@@ -111,42 +113,43 @@ pub(crate) struct Plan {
     has_windows: bool,
 }
 
-/// A stretch of corridor of one width.
+/// A part of a corridor with constant width.
 #[derive(Debug, Clone)]
 pub(crate) struct Section {
     line: Line,
-    /// From and to, along the line \[m\].
-    from: f64,
-    to: f64,
-    /// \[m\]
-    pub(crate) width: f64,
+    /// Start along the line \[m\].
+    from_m: f64,
+    /// End along the line \[m\].
+    to_m: f64,
+    /// Width \[m\].
+    pub(crate) width_m: f64,
 }
 
 /// A door from a corridor into a room.
 #[derive(Debug, Clone)]
 pub(crate) struct Door {
-    /// Free space when open: through the wall.
+    /// Free space when the door is open: through the wall.
     pub(crate) passage: Rect,
-    /// Free space when closed: a niche as deep as the frame.
+    /// Free space when the door is closed: a niche as deep as the frame.
     pub(crate) niche: Rect,
-    /// Above it, wall again.
+    /// The wall above the door.
     pub(crate) lintel: Segment,
-    /// Share of days on which it is open.
+    /// Probability that the door is open on a given day.
     pub(crate) open_share: f64,
 }
 
-/// A box in a room.
+/// A piece of furniture in a room.
 #[derive(Debug, Clone)]
 pub(crate) struct Furniture {
     pub(crate) room: Rect,
-    /// Where it usually stands.
+    /// Its usual position.
     pub(crate) centre: Point,
-    /// \[m\]
-    pub(crate) size: (f64, f64),
-    /// \[m\]
-    pub(crate) height: f64,
-    /// \[rad\]
-    pub(crate) angle: f64,
+    /// Length and depth \[m\].
+    pub(crate) size_m: (f64, f64),
+    /// Height \[m\].
+    pub(crate) height_m: f64,
+    /// Orientation \[rad\].
+    pub(crate) angle_rad: f64,
     pub(crate) reflectivity: f64,
 }
 
@@ -154,22 +157,24 @@ pub(crate) struct Furniture {
 #[derive(Debug, Clone)]
 pub(crate) struct Pillar {
     pub(crate) centre: Point,
-    pub(crate) radius: f64,
+    /// Radius \[m\].
+    pub(crate) radius_m: f64,
 }
 
-/// The middle of a corridor: parallel to x at y = `across`, or parallel to y at x = `across`.
+/// The centre line of a corridor: parallel to x at y = `across_m`, or parallel to y at
+/// x = `across_m`.
 #[derive(Debug, Clone, Copy)]
 struct Line {
     is_along_x: bool,
-    across: f64,
+    across_m: f64,
 }
 
 impl Line {
-    /// From `along` the line and `aside` of it \[m\].
+    /// The point at `along` the line and `aside` of it \[m\].
     fn point(&self, along: f64, aside: f64) -> Point {
         match self.is_along_x {
-            true => Point::new(along, self.across + aside),
-            false => Point::new(self.across + aside, along),
+            true => Point::new(along, self.across_m + aside),
+            false => Point::new(self.across_m + aside, along),
         }
     }
 
@@ -179,23 +184,23 @@ impl Line {
 }
 
 impl Section {
-    /// \[m\]
+    /// Length \[m\].
     pub(crate) fn length_m(&self) -> f64 {
-        self.to - self.from
+        self.to_m - self.from_m
     }
 
-    /// The section's floor.
+    /// The floor of the section.
     fn floor(&self) -> Rect {
-        self.line.rect((self.from, self.to), (-self.width / 2.0, self.width / 2.0))
+        self.line.rect((self.from_m, self.to_m), (-self.width_m / 2.0, self.width_m / 2.0))
     }
 
-    /// A box of the given length and depth at one of the walls (`side` is -1 or 1), `at` a share
-    /// of the way along, where the section is wide enough for something to stand in it.
+    /// A box of the given length and depth at one of the walls (`side` is -1 or 1). `at`, from 0 to 1,
+    /// is its position along the section. `None` if the section is too narrow or too short.
     pub(crate) fn box_at_wall(&self, at: f64, side: f64, length: f64, depth: f64) -> Option<Rect> {
-        let (from, to) = (self.from + NODE_CLEAR_M, self.to - NODE_CLEAR_M - length);
+        let (from, to) = (self.from_m + NODE_CLEAR_M, self.to_m - NODE_CLEAR_M - length);
         let along = from + at * (to - from);
-        let wall = side * self.width / 2.0;
-        (WIDE_M <= self.width && from < to)
+        let wall = side * self.width_m / 2.0;
+        (WIDE_M <= self.width_m && from < to)
             .then(|| self.line.rect((along, along + length), (wall - side * depth, wall)))
     }
 }
@@ -207,16 +212,16 @@ impl Plan {
         let mut entrances = Vec::new();
         if let Some(column) = shape.entrance {
             let (x, y) = (nodes[column][0].x, nodes[column][0].y);
-            let line = Line { is_along_x: false, across: x };
+            let line = Line { is_along_x: false, across_m: x };
             let width = random.uniform(2.4, 3.0);
-            sections.push(Section { line, from: 0.0, to: y + 0.001, width });
+            sections.push(Section { line, from_m: 0.0, to_m: y + 0.001, width_m: width });
             entrances.push(Segment {
                 start: Point::new(x - width / 2.0, 0.0),
                 end: Point::new(x + width / 2.0, 0.0),
             });
         }
         let hall = nodes[shape.atrium.0][shape.atrium.1];
-        let reach = f64::min(shape.margin.0 - 0.5, 7.5);
+        let reach = f64::min(shape.margin_m.0 - 0.5, 7.5);
         let atrium = Rect::centred(
             hall + Vector::new(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0)),
             random.uniform(1.5 * reach, 2.0 * reach - 2.0),
@@ -227,7 +232,7 @@ impl Plan {
         open.push(atrium);
         let atrium_ceiling_m = random.uniform(4.5, 7.0);
         let mut plan = Self {
-            building: Rect::new(Point::origin(), Point::new(shape.size.0, shape.size.1)),
+            building: Rect::new(Point::origin(), Point::new(shape.size_m.0, shape.size_m.1)),
             sections,
             entrance: shape.entrance,
             atrium,
@@ -247,31 +252,31 @@ impl Plan {
             nodes,
         };
         for section in plan.sections.clone() {
-            let look = Look::draw(&section, random);
+            let style = WallStyle::draw(&section, random);
             for side in [-1.0, 1.0] {
-                plan.line_wall(&section, &look, side, random);
+                plan.line_wall(&section, &style, side, random);
             }
         }
         plan
     }
 
-    /// Lines one side of a section with rooms, alcoves, pillars and blank wall.
-    fn line_wall(&mut self, section: &Section, look: &Look, side: f64, random: &mut Random) {
-        let mut along = section.from + 0.3;
-        // What is too long for the rest of the section is drawn anew, a few times.
+    /// Adds rooms, alcoves, pillars and blank wall along one side of a section.
+    fn line_wall(&mut self, section: &Section, style: &WallStyle, side: f64, random: &mut Random) {
+        let mut along = section.from_m + 0.3;
+        // An element that is too long for the rest of the section is drawn again, a few times.
         let mut n_too_long = 0;
         while n_too_long < 4 {
-            let [room, alcove, pillar] = look.shares;
+            let [room, alcove, pillar] = style.shares;
             let pick = random.uniform(0.0, 1.0);
             let length = if pick < room {
-                look.room_length_m * random.uniform(0.7, 1.4)
+                style.room_length_m * random.uniform(0.7, 1.4)
             } else if pick < room + alcove {
                 random.uniform(1.0, 3.5)
             } else {
                 random.uniform(0.4, 1.8)
             };
             let span = (along, along + length);
-            if section.to - 0.3 < span.1 {
+            if section.to_m - 0.3 < span.1 {
                 n_too_long += 1;
                 continue;
             }
@@ -286,9 +291,10 @@ impl Plan {
         }
     }
 
-    /// A room with its door and furniture, as deep as there is space for; none where there is not.
+    /// Adds a room with its door and furniture, as deep as the space allows, or nothing if there is no
+    /// space.
     fn add_room(&mut self, section: &Section, span: (f64, f64), side: f64, random: &mut Random) {
-        let wall = side * section.width / 2.0;
+        let wall = side * section.width_m / 2.0;
         let depth = random.uniform(2.5, 7.5);
         let open_share = [0.2, 0.6, 0.95][random.index(3)];
         let rooms = [1.0, 0.75, 0.5].map(|share| {
@@ -309,7 +315,7 @@ impl Plan {
         let at = |along, depth| section.line.point(along, wall + side * depth);
         let door = |depth| section.line.rect((from, from + width), (wall, wall + side * depth));
         if random.chance(GLASS_SHARE) {
-            // The whole front is a pane, with a gap where the door stands open.
+            // The whole front is glass, with a gap at the open door.
             let front = (span.0 + 0.1, span.1 - 0.1);
             self.open.push(section.line.rect(front, (wall, wall + side * WALL_M)));
             for (a, b) in [(front.0, from), (from + width, front.1)] {
@@ -334,22 +340,23 @@ impl Plan {
                     random.uniform(room.x0, room.x1),
                     random.uniform(room.y0, room.y1),
                 ),
-                size: (random.uniform(0.4, 1.8), random.uniform(0.3, 0.8)),
-                // A table, a desk with a screen, a shelf, a cupboard.
-                height: [0.74, 1.2, 1.6, 2.0][random.index(4)],
+                size_m: (random.uniform(0.4, 1.8), random.uniform(0.3, 0.8)),
+                // Table, desk with a screen, shelf, cupboard.
+                height_m: [0.74, 1.2, 1.6, 2.0][random.index(4)],
                 reflectivity: random.uniform(0.02, 0.7),
-                angle: [0.0, std::f64::consts::FRAC_PI_2][random.index(2)] + 0.1 * random.normal(),
+                angle_rad: [0.0, std::f64::consts::FRAC_PI_2][random.index(2)]
+                    + 0.1 * random.normal(),
             });
         }
     }
 
-    /// Lets windows into the facades that a room nearly reaches.
+    /// Adds windows to the facades near a room.
     fn add_windows(&mut self, room: &Rect) {
         let building = self.building;
         let (x0, x1) = (room.x0 + 0.4, room.x1 - 0.4);
         let (y0, y1) = (room.y0 + 0.4, room.y1 - 0.4);
         let p = Point::new;
-        // From the room's wall to the facade, and the part of the facade.
+        // Corners of the space between the room and the facade, and ends of the window.
         let candidates = [
             (p(x0, building.y0), p(x1, room.y0), p(x0, building.y0), p(x1, building.y0)),
             (p(x0, room.y1), p(x1, building.y1), p(x0, building.y1), p(x1, building.y1)),
@@ -369,9 +376,9 @@ impl Plan {
     }
 
     fn add_alcove(&mut self, section: &Section, span: (f64, f64), side: f64, random: &mut Random) {
-        let wall = section.width / 2.0;
+        let wall = section.width_m / 2.0;
         let depth = random.uniform(0.4, 1.6);
-        // Its mouth touches the corridor, so only what lies deeper must be free.
+        // The opening touches the corridor, so only the deeper part must be free.
         let deeper = section.line.rect(span, (side * (wall + 0.16), side * (wall + depth)));
         if self.is_free(&deeper) {
             self.open.push(section.line.rect(span, (side * wall, side * (wall + depth))));
@@ -380,33 +387,33 @@ impl Plan {
 
     fn add_wall_pillar(&mut self, section: &Section, along: f64, side: f64, random: &mut Random) {
         let (width, depth) = (random.uniform(0.3, 0.6), random.uniform(0.15, 0.3));
-        let wall = side * section.width / 2.0;
+        let wall = side * section.width_m / 2.0;
         let pillar = section.line.rect((along, along + width), (wall - side * depth, wall));
         let is_clear_of_nodes =
-            section.from + NODE_CLEAR_M <= along && along + width <= section.to - NODE_CLEAR_M;
-        if WIDE_M <= section.width && is_clear_of_nodes && !pillar.overlaps(&self.atrium) {
+            section.from_m + NODE_CLEAR_M <= along && along + width <= section.to_m - NODE_CLEAR_M;
+        if WIDE_M <= section.width_m && is_clear_of_nodes && !pillar.overlaps(&self.atrium) {
             self.solid.push(pillar);
         }
     }
 
-    /// Whether a new space, with walls around it, meets no other and stays inside the building.
+    /// Whether a new space with its walls overlaps no other space and is inside the building.
     fn is_free(&self, space: &Rect) -> bool {
-        // A little less than a wall, for rounding.
+        // Slightly less than the thickness of a wall, to tolerate rounding.
         let walled = space.grown(0.75 * WALL_M);
         walled.is_inside(&self.building) && self.open.iter().all(|other| !walled.overlaps(other))
     }
 }
 
-/// What the walls of a section look like.
-struct Look {
-    /// Shares of rooms, alcoves and pillars; the rest is blank.
+/// Style of the walls of a section.
+struct WallStyle {
+    /// Probabilities of rooms, alcoves and pillars; the rest is blank wall.
     shares: [f64; 3],
     room_length_m: f64,
 }
 
-impl Look {
+impl WallStyle {
     fn draw(section: &Section, random: &mut Random) -> Self {
-        let pillars = if WIDE_M <= section.width { random.uniform(0.0, 0.3) } else { 0.0 };
+        let pillars = if WIDE_M <= section.width_m { random.uniform(0.0, 0.3) } else { 0.0 };
         Self {
             shares: [random.uniform(0.4, 0.75), random.uniform(0.0, 0.2), pillars],
             room_length_m: random.uniform(2.8, 7.0),
@@ -414,24 +421,24 @@ impl Look {
     }
 }
 
-/// The corridors' crossings. The blocks between differ in size; the smallest of the building that
-/// stands alone is still more than 50 m from corner to corner.
+/// The nodes where corridors cross. The blocks between them differ in size. The diagonal of the
+/// smallest block of a single building is more than 50 m.
 fn draw_nodes(shape: &Shape, random: &mut Random) -> Vec<Vec<Point>> {
     let mut lines = |size: f64, n: usize| -> Vec<f64> {
-        let first = random.uniform(shape.margin.0, shape.margin.1);
-        let last = size - random.uniform(shape.margin.0, shape.margin.1);
+        let first = random.uniform(shape.margin_m.0, shape.margin_m.1);
+        let last = size - random.uniform(shape.margin_m.0, shape.margin_m.1);
         let mut lines = vec![first, last];
         if n == 3 {
             lines.insert(1, first + random.uniform(0.46, 0.54) * (last - first));
         }
         lines
     };
-    let xs = lines(shape.size.0, shape.columns);
-    let ys = lines(shape.size.1, shape.rows);
+    let xs = lines(shape.size_m.0, shape.columns);
+    let ys = lines(shape.size_m.1, shape.rows);
     xs.iter().map(|&x| ys.iter().map(|&y| Point::new(x, y)).collect()).collect()
 }
 
-/// From node to node along every corridor, in the direction of its axis.
+/// The corridors between neighbouring nodes, each in the positive direction of its axis.
 pub(crate) fn corridors(nodes: &[Vec<Point>]) -> Vec<(Point, Point)> {
     let along_y = nodes.iter().flat_map(|column| column.windows(2)).map(|ab| (ab[0], ab[1]));
     let columns = nodes.windows(2).map(|ab| (&ab[0], &ab[1]));
@@ -439,15 +446,15 @@ pub(crate) fn corridors(nodes: &[Vec<Point>]) -> Vec<(Point, Point)> {
     along_x.chain(along_y).collect()
 }
 
-/// Every corridor between two nodes as sections of about 14 m.
+/// Divides every corridor between two nodes into sections of about 14 m.
 fn draw_sections(nodes: &[Vec<Point>], random: &mut Random) -> Vec<Section> {
     let mut sections = Vec::new();
     for (a, b) in corridors(nodes) {
         let is_along_x = b.y - a.y < b.x - a.x;
         let (line, from, to) = if is_along_x {
-            (Line { is_along_x, across: a.y }, a.x, b.x)
+            (Line { is_along_x, across_m: a.y }, a.x, b.x)
         } else {
-            (Line { is_along_x, across: a.x }, a.y, b.y)
+            (Line { is_along_x, across_m: a.x }, a.y, b.y)
         };
         let n = ((to - from) / 14.0).round().max(1.0) as usize;
         let mut start = from;
@@ -455,19 +462,19 @@ fn draw_sections(nodes: &[Vec<Point>], random: &mut Random) -> Vec<Section> {
             let jitter = if k < n { random.uniform(-0.25, 0.25) } else { 0.0 };
             let end = from + (k as f64 + jitter) / n as f64 * (to - from);
             let width = random.uniform(CORRIDOR_WIDTH_M.0, CORRIDOR_WIDTH_M.1);
-            // A millimetre of overlap joins the floors whatever the rounding.
-            sections.push(Section { line, from: start, to: end + 0.001, width });
+            // An overlap of 1 mm joins the floors despite rounding.
+            sections.push(Section { line, from_m: start, to_m: end + 0.001, width_m: width });
             start = end;
         }
     }
     sections
 }
 
-/// A square at each node, as wide as the widest section that ends there.
+/// The floor at each node: a square as wide as the widest section that ends there.
 fn node_floors(nodes: &[Vec<Point>], sections: &[Section]) -> Vec<Rect> {
     let floor = |node: &Point| {
         let reach = Rect::centred(*node, 1.0, 1.0);
-        let widths = sections.iter().filter(|s| s.floor().overlaps(&reach)).map(|s| s.width);
+        let widths = sections.iter().filter(|s| s.floor().overlaps(&reach)).map(|s| s.width_m);
         let width = widths.fold(CORRIDOR_WIDTH_M.0, f64::max);
         Rect::centred(*node, width, width)
     };
@@ -486,6 +493,6 @@ fn draw_pillars(node: Point, atrium: &Rect, random: &mut Random) -> Vec<Pillar> 
             let aside = (centre - node).abs();
             PILLAR_CLEAR_M + radius <= aside.x.min(aside.y)
         })
-        .map(|centre| Pillar { centre, radius })
+        .map(|centre| Pillar { centre, radius_m: radius })
         .collect()
 }

@@ -1,4 +1,4 @@
-//! The plane: points, segments, rectangles, and the outline of a floor plan.
+//! Plane geometry: points, segments, rectangles, and the outline of a floor plan.
 
 use nalgebra::{Point2, Vector2};
 
@@ -6,12 +6,12 @@ use nalgebra::{Point2, Vector2};
 pub type Point = Point2<f64>;
 pub(crate) type Vector = Vector2<f64>;
 
-/// The third component of the cross product of two plane vectors.
+/// The z component of the cross product of two plane vectors.
 pub(crate) fn cross(a: Vector, b: Vector) -> f64 {
     a.x * b.y - a.y * b.x
 }
 
-/// A straight line from a point to another.
+/// A line segment.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Segment {
     /// One end \[m\].
@@ -21,7 +21,7 @@ pub struct Segment {
 }
 
 impl Segment {
-    /// Distance from a point to the nearest point of the segment \[m\].
+    /// Distance from a point to the segment \[m\].
     pub fn distance_m(&self, point: Point) -> f64 {
         let along = self.end - self.start;
         let share = (point - self.start).dot(&along) / along.norm_squared();
@@ -29,7 +29,8 @@ impl Segment {
     }
 }
 
-/// An axis-aligned rectangle whose sides lie on whole millimetres, so that equal means equal \[m\].
+/// An axis-aligned rectangle \[m\]. Its sides are rounded to whole millimetres, which makes exact
+/// comparisons of sides valid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Rect {
     pub(crate) x0: f64,
@@ -55,13 +56,13 @@ impl Rect {
         Self::new(centre - half, centre + half)
     }
 
-    /// The rectangle with every side moved outwards by `margin` \[m\].
+    /// The rectangle enlarged by `margin` on every side \[m\].
     pub(crate) fn grown(&self, margin: f64) -> Self {
         let Self { x0, y0, x1, y1 } = *self;
         Self::new(Point::new(x0 - margin, y0 - margin), Point::new(x1 + margin, y1 + margin))
     }
 
-    /// Whether the interiors meet.
+    /// Whether the interiors overlap.
     pub(crate) fn overlaps(&self, other: &Self) -> bool {
         self.x0 < other.x1 && other.x0 < self.x1 && self.y0 < other.y1 && other.y0 < self.y1
     }
@@ -74,7 +75,7 @@ impl Rect {
         self.x0 <= point.x && point.x <= self.x1 && self.y0 <= point.y && point.y <= self.y1
     }
 
-    /// Counter-clockwise.
+    /// The corners, counter-clockwise.
     pub(crate) fn corners(&self) -> [Point; 4] {
         let Self { x0, y0, x1, y1 } = *self;
         [(x0, y0), (x1, y0), (x1, y1), (x0, y1)].map(|(x, y)| Point::new(x, y))
@@ -93,10 +94,10 @@ impl Rect {
     }
 }
 
-/// The outline of the free space: the union of `open` without the union of `solid`.
+/// The outline of the free space: the union of `open` minus the union of `solid`.
 ///
-/// The sides of all rectangles cut the plane into cells; a wall stands wherever a free cell meets
-/// one that is not.
+/// The sides of all rectangles divide the plane into cells. A wall separates each free cell from a
+/// neighbour that is not free.
 pub(crate) fn outline(open: &[Rect], solid: &[Rect]) -> Vec<Segment> {
     let cuts = |sides: fn(&Rect) -> [f64; 2]| {
         let mut cuts: Vec<f64> = open.iter().chain(solid).flat_map(sides).collect();
@@ -139,7 +140,7 @@ fn index_of(cuts: &[f64], value: f64) -> usize {
     cuts.partition_point(|&cut| cut < value)
 }
 
-/// The longest runs `k0..k1` along a grid line in which one and the same side is free.
+/// The longest runs `k0..k1` along a grid line in which exactly one side is free, always the same.
 fn wall_runs(n: usize, sides: impl Fn(usize) -> (bool, bool)) -> Vec<(usize, usize)> {
     let mut runs = Vec::new();
     let mut k0 = 0;
@@ -166,16 +167,16 @@ mod tests {
         segments.iter().map(|s| (s.end - s.start).norm()).sum()
     }
 
-    /// Two rooms of 4 x 3 m, 0.2 m apart, joined by a door of 1 m: the outline is two perimeters
-    /// of 14 m, less the door twice, plus its two jambs of 0.2 m.
+    /// Two rooms of 4 x 3 m, 0.2 m apart, joined by a door of 1 m. The outline is two perimeters of
+    /// 14 m, minus twice the door, plus its two jambs of 0.2 m.
     #[test]
-    fn rooms_with_a_door_between() {
+    fn the_outline_of_two_rooms_has_an_opening_at_the_door() {
         let rooms = [rect(0.0, 0.0, 4.0, 3.0), rect(4.2, 0.0, 8.2, 3.0)];
         assert!((length_m(&outline(&rooms, &[])) - 28.0).abs() < 1e-9);
         let door = rect(4.0, 1.0, 4.2, 2.0);
         let walls = outline(&[rooms[0], rooms[1], door], &[]);
         assert!((length_m(&walls) - (28.0 - 2.0 + 0.4)).abs() < 1e-9);
-        // A pillar of 0.5 x 0.5 m at a wall hides 0.5 m of it and shows three sides.
+        // A pillar of 0.5 x 0.5 m at a wall hides 0.5 m of the wall and adds three sides.
         let pillar = rect(1.0, 0.0, 1.5, 0.5);
         let walls = outline(&[rooms[0]], &[pillar]);
         assert!((length_m(&walls) - (14.0 - 0.5 + 1.5)).abs() < 1e-9);

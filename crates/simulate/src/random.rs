@@ -1,43 +1,44 @@
-//! Random draws, each from a ChaCha8 stream of its own.
+//! Random numbers from independent ChaCha8 streams.
 //!
-//! A stream is keyed by the run's seed, what it is for, the log, and an index: whoever draws, in
-//! whatever order and on whatever thread, gets the same numbers. Transcendental functions come
-//! from `libm`, so the numbers are also the same on every machine of an architecture.
+//! The key of a stream is the seed of the run, the purpose, the log, and an index. The numbers of a
+//! stream therefore do not depend on the order of draws from other streams or on threads.
+//! Transcendental functions come from `libm`, which gives the same numbers on every machine of an
+//! architecture.
 
 use std::f64::consts::TAU;
 
 use chacha20::ChaCha8Rng;
 use chacha20::rand_core::{Rng, SeedableRng};
 
-/// What a stream is for.
+/// The purpose of a stream.
 #[derive(Debug, Clone, Copy)]
 #[repr(u64)]
 pub(crate) enum Purpose {
-    /// The place; the same for all logs.
+    /// The site. It is the same for all logs.
     Plan = 1,
-    /// Doors and clutter of a log's day.
+    /// Doors, furniture and boxes on the day of a log.
     Day = 2,
-    /// Where people walk.
+    /// Lanes and speeds of people.
     People = 3,
     /// Start, sway and clock of a drive.
     Drive = 4,
-    /// Range noise and dropouts; indexed by message.
+    /// Range noise and dropouts. The index is the message.
     Noise = 5,
-    /// The wheels' encoders.
+    /// The wheel encoders.
     Wheels = 6,
     /// The inertial measurement unit.
     Imu = 7,
 }
 
-/// A stream of random draws.
+/// A stream of random numbers.
 pub(crate) struct Random {
     stream: ChaCha8Rng,
-    /// Box-Muller gives two normal draws at a time; this is the second.
+    /// The Box-Muller transform makes two normal numbers at a time. This is the second.
     spare_normal: Option<f64>,
 }
 
 impl Random {
-    /// The stream for `purpose` in log `log`; `index` tells apart streams of one purpose.
+    /// The stream of one purpose in one log. `index` selects one of several streams of that purpose.
     pub(crate) fn new(seed: u64, purpose: Purpose, log: usize, index: u64) -> Self {
         let mut key = [0; 32];
         let words = [seed, purpose as u64, log as u64, index];
@@ -67,17 +68,19 @@ impl Random {
         ((self.unit() * n as f64) as usize).min(n - 1)
     }
 
-    /// Nearly normal with mean 0 and deviation 1, in a tenth of the time, and never beyond 3.46.
+    /// Approximately normal with mean 0 and standard deviation 1, ten times faster than
+    /// [`normal`](Self::normal). The absolute value is at most 3.46.
     ///
-    /// The sum of four uniform draws (Irwin 1927, Hall 1927) of 16 bits, whose variance is 4/12.
+    /// This is the scaled sum of four uniform 16-bit numbers (Irwin 1927, Hall 1927). The variance of
+    /// that sum is 4/12.
     #[inline]
-    pub(crate) fn quick_normal(&mut self) -> f64 {
+    pub(crate) fn fast_normal(&mut self) -> f64 {
         let bits = self.stream.next_u64();
         let sum: u64 = (0..4).map(|k| bits >> (16 * k) & 0xFFFF).sum();
         (sum as f64 * (1.0 / 65536.0) - (2.0 - 2.0 / 65536.0)) * 1.732_050_807_568_877_2
     }
 
-    /// Normal with mean 0 and deviation 1.
+    /// Normal with mean 0 and standard deviation 1.
     ///
     /// Box and Muller (1958): sqrt(-2 ln u) cos(2 pi v) and sqrt(-2 ln u) sin(2 pi v) are normal
     /// and independent for u, v uniform in (0, 1].
@@ -97,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_part_of_the_key_counts() {
+    fn each_part_of_the_key_changes_the_stream() {
         let first = |seed, purpose, log, index| Random::new(seed, purpose, log, index).unit();
         let draws = [
             first(1, Purpose::Plan, 0, 0),
@@ -112,8 +115,9 @@ mod tests {
         assert_eq!(first(1, Purpose::Plan, 0, 0).to_bits(), draws[0].to_bits());
     }
 
-    /// 100 000 draws: the mean's deviation is 0.0032, the variance's 0.0045; the share within one
-    /// deviation is 0.6827 with a deviation of 0.0015. Four deviations are allowed.
+    /// With 100 000 draws the standard deviations of the mean, of the variance, and of the share
+    /// within one standard deviation (0.6827) are 0.0032, 0.0045 and 0.0015. The limits are four
+    /// standard deviations.
     #[test]
     fn normal_draws_are_normal() {
         let draw_all = |draw: fn(&mut Random) -> f64| -> Vec<f64> {
@@ -121,8 +125,8 @@ mod tests {
             (0..100_000).map(|_| draw(&mut random)).collect()
         };
         check_normal(&draw_all(Random::normal), 0.6827);
-        // Of the sum of four, by its distribution function: 0.6692.
-        check_normal(&draw_all(Random::quick_normal), 0.6692);
+        // For the sum of four the share is 0.6692, from its distribution function.
+        check_normal(&draw_all(Random::fast_normal), 0.6692);
     }
 
     fn check_normal(draws: &[f64], share_within: f64) {

@@ -1,4 +1,4 @@
-//! What the robot itself measures: its wheels' speeds, and its angular velocity and acceleration.
+//! Simulated wheel encoders and inertial measurement unit (IMU).
 
 use dataset::{Pose2, wrap_angle};
 use messages::{Imu, JointState};
@@ -8,22 +8,21 @@ use crate::drive::{Drive, GRAVITY_M_S2};
 use crate::random::{Purpose, Random};
 use crate::{ImuOptions, WheelOptions};
 
-/// Names of the joints, left and right.
+/// Joint names of the left and the right wheel.
 pub const WHEELS: [&str; 2] = ["left_wheel", "right_wheel"];
-/// Time from one reading of the wheels to the next: 50 Hz \[ns\].
+/// Period of the wheel readings: 50 Hz \[ns\].
 pub const WHEELS_PERIOD_NS: i64 = 20_000_000;
-/// Time from one reading of the inertial measurement unit to the next: 100 Hz \[ns\].
+/// Period of the IMU readings: 100 Hz \[ns\].
 pub const IMU_PERIOD_NS: i64 = 10_000_000;
 
-/// All readings of the wheels and of the inertial measurement unit of log number `log`, as its
-/// files hold them.
+/// All wheel and IMU readings of a log, as written to its files.
 ///
 /// # Panics
-/// If there is no such log.
+/// If `log` is out of range.
 pub fn readings(campus: &Campus, log: usize) -> (Vec<JointState>, Vec<Imu>) {
     let (options, seed, drive) = (campus.options(), campus.seed(), campus.drive(log));
     let mut wheels = Wheels::new(drive, &options.wheels, seed, log);
-    let mut imu = ImuUnit::new(drive, &options.imu, seed, log);
+    let mut imu = ImuSensor::new(drive, &options.imu, seed, log);
     let stamps = |period_ns: i64| (drive.start_ns()..=drive.end_ns()).step_by(period_ns as usize);
     (
         stamps(WHEELS_PERIOD_NS).map(|stamp_ns| wheels.read(stamp_ns)).collect(),
@@ -31,20 +30,20 @@ pub fn readings(campus: &Campus, log: usize) -> (Vec<JointState>, Vec<Imu>) {
     )
 }
 
-/// The two encoders.
+/// The two wheel encoders.
 pub(crate) struct Wheels<'a> {
     drive: &'a Drive,
     options: &'a WheelOptions,
     random: Random,
-    /// True over measured path is 1 over this, for either wheel.
+    /// Measured over true distance, for each wheel.
     scales: [f64; 2],
-    /// Measured path \[m\].
+    /// Measured distance \[m\].
     paths_m: [f64; 2],
-    /// Path that was reported, in counts.
+    /// Distance reported so far, in counts.
     counts: [i64; 2],
-    /// Where the encoders alone would have the robot.
+    /// Pose estimated from the encoders alone.
     pub(crate) odometry: Pose2,
-    way_m: f64,
+    travel_m: f64,
     heading_rad: f64,
 }
 
@@ -61,19 +60,19 @@ impl<'a> Wheels<'a> {
             paths_m: [0.0; 2],
             counts: [0; 2],
             odometry: Pose2::default(),
-            way_m: drive.way_m(before_ns),
+            travel_m: drive.travel_m(before_ns),
             heading_rad: drive.pose_at(before_ns).heading_rad,
             random,
         }
     }
 
-    /// The next reading; one comes every [`WHEELS_PERIOD_NS`], the first at the drive's start.
+    /// The next reading. Call it every [`WHEELS_PERIOD_NS`], first at the start of the drive.
     pub(crate) fn read(&mut self, stamp_ns: i64) -> JointState {
-        let (way_m, heading_rad) =
-            (self.drive.way_m(stamp_ns), self.drive.pose_at(stamp_ns).heading_rad);
-        let forward_m = way_m - self.way_m;
+        let (travel_m, heading_rad) =
+            (self.drive.travel_m(stamp_ns), self.drive.pose_at(stamp_ns).heading_rad);
+        let forward_m = travel_m - self.travel_m;
         let turned_rad = wrap_angle(heading_rad - self.heading_rad);
-        (self.way_m, self.heading_rad) = (way_m, heading_rad);
+        (self.travel_m, self.heading_rad) = (travel_m, heading_rad);
         let mut read_m = [0.0; 2];
         for (k, side) in [-0.5, 0.5].into_iter().enumerate() {
             let true_m = forward_m + side * self.options.track_m * turned_rad;
@@ -95,7 +94,7 @@ impl<'a> Wheels<'a> {
     }
 }
 
-/// A pose after an arc, taken for the straight line in its middle direction.
+/// The pose after an arc, approximated by a straight line in the mean direction.
 fn moved(from: &Pose2, forward_m: f64, turn_rad: f64) -> Pose2 {
     let (sin, cos) = libm::sincos(from.heading_rad + 0.5 * turn_rad);
     Pose2 {
@@ -105,22 +104,22 @@ fn moved(from: &Pose2, forward_m: f64, turn_rad: f64) -> Pose2 {
     }
 }
 
-/// A gyroscope and an accelerometer about and along three axes, at the axle.
-pub(crate) struct ImuUnit<'a> {
+/// A three-axis gyroscope and accelerometer at the wheel axle.
+pub(crate) struct ImuSensor<'a> {
     drive: &'a Drive,
     options: &'a ImuOptions,
     random: Random,
     gyro_bias: [f64; 3],
 }
 
-impl<'a> ImuUnit<'a> {
+impl<'a> ImuSensor<'a> {
     pub(crate) fn new(drive: &'a Drive, options: &'a ImuOptions, seed: u64, log: usize) -> Self {
         let mut random = Random::new(seed, Purpose::Imu, log, 0);
         let gyro_bias = [0; 3].map(|_| options.gyro_bias * random.normal());
         Self { drive, options, random, gyro_bias }
     }
 
-    /// The next reading, a mean over [`IMU_PERIOD_NS`] around its stamp.
+    /// The next reading: the mean over [`IMU_PERIOD_NS`] around its stamp.
     pub(crate) fn read(&mut self, stamp_ns: i64) -> Imu {
         let half_ns = IMU_PERIOD_NS / 2;
         let dt = IMU_PERIOD_NS as f64 * 1e-9;
@@ -133,7 +132,7 @@ impl<'a> ImuUnit<'a> {
         let pitch_rate = (after.pitch_rad - before.pitch_rad) / dt;
         let acceleration = (after.speed_m_s - before.speed_m_s) / dt;
         let (sin, cos) = libm::sincos(here.pitch_rad);
-        // The base's x axis is (cos, 0, -sin) and its z axis (sin, 0, cos) of the level frame.
+        // In the level frame, the x axis of the base is (cos, 0, -sin) and its z axis (sin, 0, cos).
         let angular_velocity = [-sin * yaw_rate, pitch_rate, cos * yaw_rate];
         let force = [
             cos * acceleration - sin * GRAVITY_M_S2,

@@ -1,40 +1,40 @@
-//! Which way a drive goes: control points for a smooth path.
+//! The route of a drive: control points for a smooth path.
 
 use std::f64::consts::TAU;
 
 use crate::plane::{Point, Vector};
 use crate::random::Random;
 
-/// Nodes (column, row) of the loops that a drive goes around, one after the other, for ever. All
-/// share the corner (0, 0) and the corridors beside it, so that every loop revisits parts of those
-/// before it. Counter-clockwise; every other drive takes them the other way around.
+/// Nodes (column, row) of the loops in a single building. A drive follows them one after the other,
+/// forever. All loops share the corner (0, 0) and the corridors next to it, and each loop therefore
+/// revisits parts of the earlier ones. The order is counter-clockwise; every second drive reverses it.
 const LOOPS: [&[(usize, usize)]; 4] = [
     &[(0, 0), (1, 0), (1, 1), (0, 1)],
     &[(0, 0), (1, 0), (1, 1), (1, 2), (0, 2), (0, 1)],
     &[(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1)],
     &[(0, 0), (1, 0), (2, 0), (2, 1), (1, 1), (0, 1)],
 ];
-/// Distance between control points, about \[m\].
+/// Approximate distance between control points \[m\].
 ///
-/// Between two corridors at a right angle, control points at half this distance before and after
-/// the corner give a smallest radius of spacing / sqrt(2) = 1.3 m, and cut the corner by
-/// 0.383 x spacing = 0.7 m: 0.6 m from the inner corner of two corridors 1.8 m wide.
+/// At a right-angled corner, control points at half this distance before and after the corner give a
+/// smallest radius of spacing / sqrt(2) = 1.3 m and cut the corner by 0.383 x spacing = 0.7 m. That
+/// is 0.6 m from the inner corner of two corridors 1.8 m wide.
 const SPACING_M: f64 = 1.8;
-/// The robot sways about the middle of its way: two waves of these amplitudes \[m\] and of
-/// wavelengths drawn from these limits \[m\].
+/// The robot sways about the middle of its route. Two waves: amplitude \[m\], and minimum and maximum
+/// wavelength \[m\].
 const SWAY: [(f64, (f64, f64)); 2] = [(0.12, (18.0, 30.0)), (0.08, (7.0, 12.0))];
-/// Control points over which the sway sets in after the dock.
-const SWAY_SETS_IN: f64 = 10.0;
+/// Number of control points after the dock over which the sway grows to its full amplitude.
+const SWAY_RAMP_POINTS: f64 = 10.0;
 
-/// Control points of a way that never ends, each with the direction to its left.
+/// Control points of an endless route, each with the direction to its left.
 #[derive(Debug, Clone)]
 pub(crate) struct Route {
-    /// Once, at the start.
+    /// Followed once, at the start.
     lead: Vec<(Point, Vector)>,
-    /// Over and over.
+    /// Repeated forever.
     lap: Vec<(Point, Vector)>,
     waves: [Wave; 2],
-    /// Whether the first point is exact, without sway.
+    /// Whether the route starts exactly at the dock, without sway.
     has_dock: bool,
 }
 
@@ -49,7 +49,7 @@ struct Wave {
 }
 
 impl Route {
-    /// Around the loops of the building that stands alone, from somewhere in the first corridor.
+    /// A route around the loops of a single building, from a random place in the first corridor.
     pub(crate) fn in_building(
         nodes: &[Vec<Point>],
         is_clockwise: bool,
@@ -68,28 +68,28 @@ impl Route {
             .map(|(column, row)| nodes[column][row])
             .collect();
         let mut lap = closed(&lap);
-        // Both corridors that a drive can begin with are longer.
+        // Both corridors that a drive can start in are longer than this.
         let start = random.index(lap.len() / 32);
         lap.rotate_left(start);
         Self { lead: Vec::new(), lap, waves: draw_waves(random), has_dock: false }
     }
 
-    /// From the dock at the origin along x, `dock_m` to the node between the first and the last of
-    /// a lap, and then around it.
+    /// A route from the dock at the origin, `dock_m` along x to the junction between the last and the
+    /// first node of a lap, and then around the lap.
     pub(crate) fn from_dock(dock_m: f64, lap: &[Point], random: &mut Random) -> Self {
         let junction = Point::new(dock_m, 0.0);
-        // A spline begins at its second control point where the first three are in line.
+        // A spline starts at its second control point if the first three are in line and equidistant.
         let before = Point::new(-1.5 * SPACING_M, 0.0);
         let mut lead = edge(before, junction);
         lead.extend(edge(junction, lap[0]));
         let mut nodes = lap.to_vec();
         nodes.push(junction);
-        // The lap begins where the lead ends, behind the junction.
+        // The lap starts where the lead ends, after the junction.
         let points = closed(&nodes);
         Self { lead, lap: points, waves: draw_waves(random), has_dock: true }
     }
 
-    /// Through given points, close to each other, over and over, a little to the right of them.
+    /// A closed route along points that are close to each other, shifted by `right_m` to the right.
     pub(crate) fn along(points: &[Point], spacing_m: f64, right_m: f64) -> Self {
         let still = Wave { amplitude_m: 0.0, rate: 0.0, phase: 0.0 };
         let smooth = smoothed(&thinned(points, spacing_m / 4.0), 4);
@@ -98,10 +98,10 @@ impl Route {
             .map(|k| {
                 let (before, after) =
                     (even[(k + even.len() - 1) % even.len()], even[(k + 1) % even.len()]);
-                let way = after - before;
-                let left = match way.norm() {
+                let direction = after - before;
+                let left = match direction.norm() {
                     0.0 => Vector::zeros(),
-                    norm => Vector::new(-way.y, way.x) / norm,
+                    norm => Vector::new(-direction.y, direction.x) / norm,
                 };
                 (even[k] - left * right_m, left)
             })
@@ -116,7 +116,7 @@ impl Route {
             None => self.lap[(k - self.lead.len()) % self.lap.len()],
         };
         let k = k as f64;
-        let ramp = if self.has_dock { ((k - 2.0) / SWAY_SETS_IN).clamp(0.0, 1.0) } else { 1.0 };
+        let ramp = if self.has_dock { ((k - 2.0) / SWAY_RAMP_POINTS).clamp(0.0, 1.0) } else { 1.0 };
         let wave = |w: &Wave| w.amplitude_m * libm::sin(w.rate * k + w.phase);
         middle + left * (ramp * self.waves.iter().map(wave).sum::<f64>())
     }
@@ -130,7 +130,7 @@ fn draw_waves(random: &mut Random) -> [Wave; 2] {
     })
 }
 
-/// Control points from node to node and back to the first.
+/// Control points from node to node and back to the first node.
 fn closed(nodes: &[Point]) -> Vec<(Point, Vector)> {
     closed_every(nodes, SPACING_M)
 }
@@ -140,7 +140,7 @@ fn closed_every(nodes: &[Point], spacing_m: f64) -> Vec<(Point, Vector)> {
     nodes.iter().zip(next).flat_map(|(&a, &b)| edge_every(a, b, spacing_m)).collect()
 }
 
-/// Control points between two nodes, none at the nodes themselves.
+/// Control points between two nodes, without the nodes.
 fn edge(a: Point, b: Point) -> Vec<(Point, Vector)> {
     edge_every(a, b, SPACING_M)
 }
@@ -157,7 +157,7 @@ fn edge_every(a: Point, b: Point, spacing_m: f64) -> Vec<(Point, Vector)> {
         .collect()
 }
 
-/// Points at least so far from one another.
+/// The points without those nearer than `spacing_m` to the last one kept.
 fn thinned(points: &[Point], spacing_m: f64) -> Vec<Point> {
     let mut thin: Vec<Point> = Vec::new();
     for point in points {
@@ -168,7 +168,7 @@ fn thinned(points: &[Point], spacing_m: f64) -> Vec<Point> {
     thin
 }
 
-/// Means over so many points to either side, of a closed way.
+/// Moving average of a closed route over `reach` points on each side.
 fn smoothed(points: &[Point], reach: usize) -> Vec<Point> {
     let n = points.len();
     (0..n)

@@ -1,58 +1,60 @@
-//! Where drives take place: a building that stands alone, a campus, or a map.
+//! The site of the drives: a single building, a campus, or a map.
 //!
 //! ```text
-//!   +-------+ +---------+ +------+ +--------+      Buildings stand on both sides of a strip with
-//!   |       | |         | |      | |        |      trees and parked cars. Two lanes, one to either
-//!   +--| |--+ +---| |---+ +-| |--+ +---| |--+      side, pass their entrances and close a ring at
-//!   .---o----------o---------o---------o-----.     the ends. The dock `D`, the origin of the map,
-//! D-+    T  =  T    =  T  =    T  =   T      |     lies before the western end: from there one
-//!   '----------o---------o----------o--------'     drive begins with the northern lane, the next
-//!          +--| |--+ +--| |---+ +---| |---+        with the southern one.
+//!   +-------+ +---------+ +------+ +--------+      Buildings on both sides of a strip with trees
+//!   |       | |         | |      | |        |      and parked cars. A lane on each side of the
+//!   +--| |--+ +---| |---+ +-| |--+ +---| |--+      strip passes the entrances. The two lanes form
+//!   .---o----------o---------o---------o-----.     a ring. The dock `D`, the origin of the map
+//! D-+    T  =  T    =  T  =    T  =   T      |     frame, is at the western end. From there, drives
+//!   '----------o---------o----------o--------'     alternate between starting on the northern
+//!          +--| |--+ +--| |---+ +---| |---+        lane and on the southern lane.
 //!          |       | |        | |         |
 //!          +-------+ +--------+ +---------+
 //! ```
 
-use crate::day::{building_of_day, facades, round, turned};
+use crate::day::{building_of_day, circle_polygon, facades, rotated_rect};
 use crate::map::Map;
-use crate::map_day::Loose;
+use crate::map_day::Movables;
 use crate::plan::{Plan, Shape, corridors};
 use crate::plane::{Point, Rect, Segment, Vector};
 use crate::random::Random;
 use crate::route::Route;
 use crate::world::{Material, Surface, World, prism};
 
-/// Distance of either lane from the middle of the strip \[m\].
+/// Distance of each lane from the middle of the strip \[m\].
 const LANE_M: f64 = 5.4;
-/// Way from the dock to the western end \[m\]: whole steps of the route, so that it begins exactly
-/// there.
+/// Distance from the dock to the western end of the ring \[m\]: a whole number of control point
+/// spacings, so that the route starts exactly at the dock.
 const DOCK_M: f64 = 8.1;
-/// Share of the parking spaces that are taken on a day.
+/// Fraction of the parking spaces that are occupied on a given day.
 const PARKED_SHARE: f64 = 0.6;
-/// Size of a car, and of what of it is above the belt line \[m\].
+/// Length and width of a car \[m\].
 const CAR_M: (f64, f64) = (4.3, 1.8);
+/// Length and width of the cabin, above the belt line \[m\].
 const CABIN_M: (f64, f64) = (2.3, 1.6);
-/// A car from above the ground to the belt line, and from there to the roof \[m\].
+/// Heights of the underside, the belt line and the roof of a car \[m\].
 const CAR_HEIGHTS_M: (f64, f64, f64) = (0.18, 0.95, 1.45);
-/// What a map does not tell.
+/// Height of the ceiling of a map, which a map does not contain \[m\].
 const MAP_CEILING_M: f64 = 2.7;
+/// Reflectivity of the walls of a map, which a map does not contain.
 const MAP_REFLECTIVITY: f64 = 0.5;
 const BARK_REFLECTIVITY: f64 = 0.3;
 const LEAF_REFLECTIVITY: f64 = 0.5;
 
-/// A place, the same on every day.
+/// The permanent part of a site.
 #[derive(Debug, Clone)]
 pub(crate) struct Site {
-    buildings: Vec<Placed>,
-    /// What stands outdoors on every day.
+    buildings: Vec<PlacedBuilding>,
+    /// Permanent surfaces outdoors.
     fixed: Vec<Surface>,
-    /// Parking spaces: middle, and direction of a car \[rad\].
+    /// Parking spaces: centre, and orientation of a car \[rad\].
     parking: Vec<(Point, f64)>,
-    /// Where people walk, from and to.
+    /// Start and end of the lanes in which people walk.
     lanes: Vec<(Point, Point)>,
-    /// Node by node around the lanes, from the western end, the northern lane first; none for a
-    /// building that stands alone.
+    /// Nodes along the two lanes, from the western end, with the northern lane first. Empty for a
+    /// single building and for a map.
     ring: Vec<Stop>,
-    map: Option<(Map, Loose)>,
+    map: Option<(Map, Movables)>,
 }
 
 /// A node of the ring.
@@ -63,42 +65,47 @@ struct Stop {
     building: Option<usize>,
 }
 
-/// A building where it stands.
+/// A building at its position on the site.
 #[derive(Debug, Clone)]
-struct Placed {
+struct PlacedBuilding {
     plan: Plan,
-    /// Where its own origin is.
+    /// Origin of the building in the map frame.
     origin: Point,
-    /// Whether it is turned by half a circle about that.
-    is_turned: bool,
+    /// Whether the building is rotated by 180 deg about its origin.
+    is_rotated: bool,
 }
 
-impl Placed {
-    fn point(&self, own: Point) -> Point {
-        let sign = if self.is_turned { -1.0 } else { 1.0 };
-        self.origin + own.coords * sign
+impl PlacedBuilding {
+    fn point(&self, local: Point) -> Point {
+        let sign = if self.is_rotated { -1.0 } else { 1.0 };
+        self.origin + local.coords * sign
     }
 
-    fn segment(&self, own: Segment) -> Segment {
-        Segment { start: self.point(own.start), end: self.point(own.end) }
+    fn segment(&self, local: Segment) -> Segment {
+        Segment { start: self.point(local.start), end: self.point(local.end) }
     }
 
-    fn rect(&self, own: &Rect) -> Rect {
-        Rect::new(self.point(Point::new(own.x0, own.y0)), self.point(Point::new(own.x1, own.y1)))
+    fn rect(&self, local: &Rect) -> Rect {
+        Rect::new(
+            self.point(Point::new(local.x0, local.y0)),
+            self.point(Point::new(local.x1, local.y1)),
+        )
     }
 
-    fn surfaces(&self, own: Vec<Surface>) -> impl Iterator<Item = Surface> + '_ {
-        own.into_iter().map(|surface| Surface { segment: self.segment(surface.segment), ..surface })
+    fn surfaces(&self, local: Vec<Surface>) -> impl Iterator<Item = Surface> + '_ {
+        local
+            .into_iter()
+            .map(|surface| Surface { segment: self.segment(surface.segment), ..surface })
     }
 }
 
 impl Site {
-    /// A building of 120 m x 80 m without a world around it.
+    /// A single building of 120 m x 80 m without surroundings.
     pub(crate) fn building(random: &mut Random) -> Self {
         let plan = Plan::new(&Shape::alone(), random);
         Self {
             lanes: corridors(&plan.nodes),
-            buildings: vec![Placed { plan, origin: Point::origin(), is_turned: false }],
+            buildings: vec![PlacedBuilding { plan, origin: Point::origin(), is_rotated: false }],
             fixed: Vec::new(),
             parking: Vec::new(),
             ring: Vec::new(),
@@ -106,18 +113,18 @@ impl Site {
         }
     }
 
-    /// A map's walls, below one ceiling, with doors in its doorways and furniture.
+    /// The walls of a map under one ceiling, with doors in its doorways and with furniture.
     pub(crate) fn on_map(map: Map, random: &mut Random) -> Self {
         let wall = |segment| Surface::solid(segment, (0.0, MAP_CEILING_M), MAP_REFLECTIVITY);
         let lanes = map.lanes(random);
-        let loose = Loose::draw(&map, random);
+        let movables = Movables::draw(&map, random);
         Self {
             buildings: Vec::new(),
             fixed: map.walls().into_iter().map(wall).collect(),
             parking: Vec::new(),
             lanes,
             ring: Vec::new(),
-            map: Some((map, loose)),
+            map: Some((map, movables)),
         }
     }
 
@@ -135,19 +142,19 @@ impl Site {
         let mut rows = [(Vec::new(), DOCK_M + 6.0), (Vec::new(), DOCK_M + 6.0)];
         for building in 0..n_buildings as usize {
             let plan = Plan::new(&Shape::on_campus(random), random);
-            let is_turned = n_north <= building;
-            let (stops, x) = &mut rows[usize::from(is_turned)];
+            let is_rotated = n_north <= building;
+            let (stops, x) = &mut rows[usize::from(is_rotated)];
             let facade_m = LANE_M + random.uniform(5.0, 9.0);
             let width = plan.building.width();
-            let origin = match is_turned {
+            let origin = match is_rotated {
                 false => Point::new(*x, facade_m),
                 true => Point::new(*x + width, -facade_m),
             };
-            let placed = Placed { plan, origin, is_turned };
-            let at = Point::new(placed.door().x, if is_turned { -LANE_M } else { LANE_M });
+            let placed = PlacedBuilding { plan, origin, is_rotated };
+            let at = Point::new(placed.door().x, if is_rotated { -LANE_M } else { LANE_M });
             stops.push(Stop { at, building: Some(building) });
             let gap_m = random.uniform(9.0, 16.0);
-            site.add_car_park(*x + width + gap_m / 2.0, facade_m, is_turned, random);
+            site.add_car_park(*x + width + gap_m / 2.0, facade_m, is_rotated, random);
             *x += width + gap_m;
             site.buildings.push(placed);
         }
@@ -172,7 +179,7 @@ impl Site {
         site
     }
 
-    /// Trees and parking spaces in the middle, and trees before the buildings.
+    /// Adds trees and parking spaces in the middle of the strip, and trees in front of the buildings.
     fn add_strip(&mut self, east_m: f64, random: &mut Random) {
         let mut x = DOCK_M + 5.0;
         while x < east_m - 4.0 {
@@ -199,17 +206,17 @@ impl Site {
         }
     }
 
-    /// A trunk, and leaves above.
+    /// Adds a tree: a trunk with a crown of leaves above it.
     fn add_tree(&mut self, at: Point, random: &mut Random) {
         let (trunk_m, crown_m) = (random.uniform(0.1, 0.28), random.uniform(1.1, 2.0));
         let (from_m, to_m) = (random.uniform(1.9, 2.6), random.uniform(4.0, 9.0));
-        self.fixed.extend(prism(&round(at, trunk_m), (0.0, from_m), BARK_REFLECTIVITY));
-        let crown = prism(&round(at, crown_m), (from_m, to_m), LEAF_REFLECTIVITY);
+        self.fixed.extend(prism(&circle_polygon(at, trunk_m), (0.0, from_m), BARK_REFLECTIVITY));
+        let crown = prism(&circle_polygon(at, crown_m), (from_m, to_m), LEAF_REFLECTIVITY);
         let leaves = |surface| Surface { material: Material::Foliage, ..surface };
         self.fixed.extend(crown.into_iter().map(leaves));
     }
 
-    /// Parking spaces in the gap between two buildings.
+    /// Adds parking spaces in the gap between two buildings.
     fn add_car_park(&mut self, x: f64, facade_m: f64, is_south: bool, random: &mut Random) {
         let side = if is_south { -1.0 } else { 1.0 };
         for row in 0..3 {
@@ -219,8 +226,8 @@ impl Site {
         }
     }
 
-    /// Everything that stands there on one day, on which the robot drives along `way`.
-    pub(crate) fn day(&self, way: &[Point], random: &mut Random) -> World {
+    /// The world on one day. `path` is the path of the robot on that day.
+    pub(crate) fn day(&self, path: &[Point], random: &mut Random) -> World {
         let mut surfaces = self.fixed.clone();
         let mut ceilings = Vec::new();
         for placed in &self.buildings {
@@ -229,9 +236,9 @@ impl Site {
             ceilings.push((placed.rect(&plan.building), plan.ceiling_m));
             ceilings.push((placed.rect(&plan.atrium), plan.atrium_ceiling_m));
         }
-        if let Some((map, loose)) = &self.map {
+        if let Some((map, movables)) = &self.map {
             ceilings.push((map.extent(), MAP_CEILING_M));
-            surfaces.extend(loose.day(map, way, MAP_CEILING_M, random));
+            surfaces.extend(movables.day(map, path, MAP_CEILING_M, random));
         }
         for &(at, angle) in &self.parking {
             let is_taken = random.chance(PARKED_SHARE);
@@ -244,18 +251,18 @@ impl Site {
         World::new(surfaces, ceilings)
     }
 
-    /// Corners of every building.
+    /// Opposite corners of every building.
     pub(crate) fn outlines(&self) -> Vec<(Point, Point)> {
         let rects = self.buildings.iter().map(|placed| placed.rect(&placed.plan.building));
         rects.map(|r| (Point::new(r.x0, r.y0), Point::new(r.x1, r.y1))).collect()
     }
 
-    /// Where people walk.
+    /// Lanes in which people walk.
     pub(crate) fn lanes(&self) -> &[(Point, Point)] {
         &self.lanes
     }
 
-    /// The way of log number `log`.
+    /// The route of a log.
     pub(crate) fn route(&self, log: usize, random: &mut Random) -> Route {
         let is_clockwise = log % 2 == 1;
         if let Some((map, _)) = &self.map {
@@ -267,9 +274,9 @@ impl Site {
         }
     }
 
-    /// From the dock around the ring, in and out of every building: around the corridors of one to
-    /// the left, of the next to the right. Two drives one after the other, which go around the ring
-    /// in opposite directions, take each building the same way; the next two the other way.
+    /// A route from the dock around the ring, in and out of every building. The direction around the
+    /// corridors alternates from building to building. Consecutive drives go around the ring in
+    /// opposite directions. The direction inside each building changes every second drive.
     fn campus_route(&self, log: usize, is_clockwise: bool, random: &mut Random) -> Route {
         let mut ring = self.ring.clone();
         if !is_clockwise {
@@ -283,23 +290,23 @@ impl Site {
                 lap.push(stop.at);
             }
         }
-        // The dock lies on the way from the last node to the first.
+        // The dock is between the last node and the first.
         Route::from_dock(DOCK_M, &lap, random)
     }
 }
 
-impl Placed {
-    /// Where the entrance's corridor meets the facade.
+impl PlacedBuilding {
+    /// Where the corridor of the entrance meets the facade.
     fn door(&self) -> Point {
         let column = self.plan.entrance.unwrap_or(0);
         self.point(Point::new(self.plan.nodes[column][0].x, 0.0))
     }
 
-    /// Around the corridors, from the node behind the entrance back to it.
+    /// A loop around the corridors, from the node behind the entrance back to it.
     fn tour(&self, is_reversed: bool) -> Vec<Point> {
         let nodes = &self.plan.nodes;
         let (entrance, last) = (self.plan.entrance.unwrap_or(0), nodes.len() - 1);
-        // Along row 0 from the entrance to the right, back along the last row, and to the entrance.
+        // Along row 0 to the right, back along the last row, and along row 0 to the entrance.
         let top = nodes[0].len() - 1;
         let mut tour: Vec<Point> = (entrance..=last).map(|column| nodes[column][0]).collect();
         tour.extend((0..=last).rev().map(|column| nodes[column][top]));
@@ -311,12 +318,14 @@ impl Placed {
     }
 }
 
-/// A car: painted sheet, and panes above.
+/// A car: painted metal, with glass above the belt line.
 fn car(at: Point, angle: f64, scale: f64, paint: f64) -> Vec<Surface> {
     let scaled = |size: (f64, f64)| (size.0 * scale, size.1 * scale);
     let (ground_m, belt_m, roof_m) = CAR_HEIGHTS_M;
-    let mut surfaces = prism(&turned(at, scaled(CAR_M), angle), (ground_m, belt_m * scale), paint);
-    let cabin = prism(&turned(at, scaled(CABIN_M), angle), (belt_m * scale, roof_m * scale), 0.3);
+    let mut surfaces =
+        prism(&rotated_rect(at, scaled(CAR_M), angle), (ground_m, belt_m * scale), paint);
+    let cabin =
+        prism(&rotated_rect(at, scaled(CABIN_M), angle), (belt_m * scale, roof_m * scale), 0.3);
     surfaces.extend(cabin.into_iter().map(|s| Surface { material: Material::Glass, ..s }));
     surfaces
 }

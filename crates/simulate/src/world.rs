@@ -1,45 +1,45 @@
-//! The world of one day: upright surfaces over a level floor, below ceilings, and rays cast
-//! against them.
+//! The world on one day: vertical surfaces between a level floor and level ceilings, with ray
+//! casting.
 //!
-//! Rays are cast in two steps. [`World::column`] follows a bearing over the floor plan and lists
-//! the surfaces that any beam could meet there; a beam then meets them one by one, exactly and in
-//! three dimensions. One column serves all lasers that look that way.
+//! Rays are cast in two steps. [`World::column`] follows a bearing on the floor plan and lists the
+//! surfaces that any beam could hit in that direction. Each beam is then intersected with these
+//! surfaces exactly, in three dimensions. All lasers with the same bearing share one column.
 
 use nalgebra::{Point2, Vector2};
 
 use crate::plane::{Point, Rect, Segment, Vector, cross};
 
-/// What a surface is made of, and so how it answers a beam.
+/// Material of a surface. It determines how the surface reflects a beam.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Material {
-    /// Plaster, brick, wood, cloth: returns as much as its reflectivity says.
+    /// Plaster, brick, wood, cloth: returns every beam, scaled by the reflectivity.
     Solid,
-    /// A pane: most beams pass, and go on to what is behind.
+    /// A pane of glass: most beams pass through it and hit what is behind.
     Glass,
-    /// Leaves and twigs: some beams pass, the others end somewhere within.
+    /// Leaves and twigs: some beams pass, the others end inside.
     Foliage,
 }
 
-/// An upright rectangle.
+/// A vertical rectangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Surface {
-    /// Where it stands.
+    /// Its position on the floor plan.
     pub segment: Segment,
     /// Lower edge \[m above the floor\].
     pub z_low_m: f64,
     /// Upper edge \[m above the floor\].
     pub z_high_m: f64,
-    /// What it is made of.
+    /// Its material.
     pub material: Material,
-    /// Share of the light that it throws back, 0 to 1.
+    /// Reflectivity, 0 to 1.
     pub reflectivity: f64,
-    /// Heights of the ceilings to the left and to the right of the segment, seen from its start,
-    /// where these differ \[m\].
+    /// Heights of the ceilings to the left and to the right of the segment, seen from its start, if
+    /// they differ \[m\].
     pub(crate) ceilings_m: Option<(f64, f64)>,
 }
 
 impl Surface {
-    /// A solid one.
+    /// A solid surface from `z.0` to `z.1` \[m above the floor\].
     pub(crate) fn solid(segment: Segment, z: (f64, f64), reflectivity: f64) -> Self {
         Self {
             segment,
@@ -51,13 +51,13 @@ impl Surface {
         }
     }
 
-    /// Whether no beam passes through it.
+    /// Whether it stops every beam.
     fn is_opaque(&self) -> bool {
         self.material == Material::Solid
     }
 }
 
-/// The sides of a polygon, as high as given.
+/// Vertical surfaces along the sides of a polygon, from `z.0` to `z.1` \[m above the floor\].
 pub(crate) fn prism(corners: &[Point], z: (f64, f64), reflectivity: f64) -> Vec<Surface> {
     let next = corners.iter().cycle().skip(1);
     (corners.iter().zip(next))
@@ -65,28 +65,29 @@ pub(crate) fn prism(corners: &[Point], z: (f64, f64), reflectivity: f64) -> Vec<
         .collect()
 }
 
-/// A surface that a column meets.
+/// A surface in a column.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Entry {
-    /// Distance over ground \[m\].
+    /// Horizontal distance \[m\].
     pub(crate) distance_m: f64,
-    /// Which of the surfaces.
+    /// Index of the surface.
     pub(crate) surface: u32,
 }
 
 /// Side of a grid cell \[m\].
 const CELL_M: f64 = 1.0;
-/// How far over its ends a surface still stops a ray, as a share of its length: rays must not
-/// slip through a corner between two rounding errors.
+/// How far beyond its ends a surface still stops a ray, relative to its length. Without this,
+/// rounding errors let rays pass through corners.
 const END_SLACK: f64 = 1e-9;
-/// Hits this near to the border of a cell count in both \[m\].
+/// Hits nearer than this to the border between two cells count in both cells \[m\].
 const BORDER_SLACK_M: f64 = 1e-6;
 
-/// Surfaces in a uniform grid: a ray visits the cells along its way, nearest first.
+/// Surfaces in a uniform grid. A ray visits the cells along its path, nearest first.
 #[derive(Debug, Clone)]
 pub(crate) struct World {
     surfaces: Vec<Surface>,
-    /// Rectangles with a ceiling of their own \[m\]; later ones win. Elsewhere is the sky.
+    /// Rectangles with a ceiling and its height \[m\]. Later rectangles take precedence. There is no
+    /// ceiling elsewhere.
     ceilings: Vec<(Rect, f64)>,
     /// Lower left corner of the grid.
     corner: Point,
@@ -108,7 +109,7 @@ impl World {
         let cells = |metres: f64| (metres / CELL_M).ceil().max(0.0) as usize;
         let (n_x, n_y) = (cells(size.x), cells(size.y));
 
-        // All surfaces are short or parallel to an axis: the cells of their bounding box will do.
+        // All surfaces are short or parallel to an axis, so the cells of the bounding box suffice.
         let mut in_cell = vec![Vec::new(); n_x * n_y];
         let cell_at = |metres: f64, corner: f64| ((metres - corner) / CELL_M) as usize;
         for (k, surface) in surfaces.iter().enumerate() {
@@ -134,16 +135,18 @@ impl World {
         &self.surfaces
     }
 
-    /// Height of the ceiling above a place, infinite under the sky \[m\].
+    /// Height of the ceiling above a position; infinite outdoors \[m\].
     pub(crate) fn ceiling_m(&self, at: Point) -> f64 {
         let over = self.ceilings.iter().rev().find(|(rect, _)| rect.contains(at));
         over.map_or(f64::INFINITY, |(_, height_m)| *height_m)
     }
 
-    /// Appends what beams from `from` at `height_m` can meet along the unit vector `direction`, up
-    /// to `max_m` away and rising no steeper than `steepest` (a tangent), nearest first.
+    /// Appends the surfaces that beams from `from` at `height_m` can hit, nearest first. The beams
+    /// point along the unit vector `direction`, reach `max_m`, and rise at most by the tangent
+    /// `steepest`.
     ///
-    /// Amanatides and Woo (1987), "A fast voxel traversal algorithm for ray tracing".
+    /// The traversal follows Amanatides and Woo (1987), "A fast voxel traversal algorithm for ray
+    /// tracing".
     pub(crate) fn column(
         &self,
         (from, height_m): (Point, f64),
@@ -158,11 +161,11 @@ impl World {
         }
         let mut i = start.x as usize;
         let mut j = start.y as usize;
-        // Distance to the next cell border, and from border to border, for either axis.
+        // Distance to the next cell border, and from border to border, along each axis.
         let borders = |at: f64, cell: usize, step: f64| {
             let period = CELL_M / step.abs();
             let share = if 0.0 < step { (cell + 1) as f64 - at } else { at - cell as f64 };
-            // Parallel to the borders: never. (0 * infinity is not a number.)
+            // A ray parallel to the borders never reaches one. (0 * infinity is NaN.)
             (if period.is_finite() { share * period } else { f64::INFINITY }, period)
         };
         let (mut next_x, period_x) = borders(start.x, i, direction.x);
@@ -176,11 +179,11 @@ impl World {
             let cell = j * self.n_x + i;
             let n_before = column.len();
             for &k in &self.entries[self.starts[cell] as usize..self.starts[cell + 1] as usize] {
-                let hit = meet(&self.surfaces[k as usize].segment, from, direction);
+                let hit = intersect(&self.surfaces[k as usize].segment, from, direction);
                 if let Some(distance_m) = hit
                     && entered_m - BORDER_SLACK_M <= distance_m
                     && distance_m <= left_m + BORDER_SLACK_M
-                    // Found at a border, it is in both cells.
+                    // A surface hit at a border is in both cells: add it once.
                     && column[n_start..].iter().rev().take(4).all(|entry| entry.surface != k)
                 {
                     column.push(Entry { distance_m, surface: k });
@@ -193,12 +196,12 @@ impl World {
                     let surface = &self.surfaces[surface as usize];
                     let top_m = ceiling_m.min(height_m + distance_m * steepest);
                     if surface.is_opaque() && surface.z_low_m <= 0.0 && top_m <= surface.z_high_m {
-                        // Its equals at the same corner may matter to a neighbouring beam.
+                        // Keep other surfaces at the same corner for neighbouring beams.
                         column.truncate(at + 1);
                         return;
                     }
                     if let Some(ceilings_m) = surface.ceilings_m {
-                        ceiling_m = beyond(&surface.segment, direction, ceilings_m);
+                        ceiling_m = ceiling_behind(&surface.segment, direction, ceilings_m);
                     }
                 }
             }
@@ -206,7 +209,7 @@ impl World {
                 return;
             }
             entered_m = left_m;
-            // A step below zero wraps to a huge index: outside, like one past the end.
+            // Index -1 wraps to a huge index, which is outside.
             if next_x < next_y {
                 i = if 0.0 < direction.x { i + 1 } else { i.wrapping_sub(1) };
                 next_x += period_x;
@@ -224,23 +227,31 @@ impl World {
     }
 }
 
-/// The ceiling behind a surface, of those to its left and right.
-pub(crate) fn beyond(segment: &Segment, direction: Vector, (left, right): (f64, f64)) -> f64 {
+/// Height of the ceiling behind a surface, given the ceilings to its left and right \[m\].
+pub(crate) fn ceiling_behind(
+    segment: &Segment,
+    direction: Vector,
+    (left, right): (f64, f64),
+) -> f64 {
     match 0.0 < cross(segment.end - segment.start, direction) {
         true => left,
         false => right,
     }
 }
 
-/// Where a ray meets a segment: from + r direction = start + u (end - start).
+/// Range at which a ray hits a segment: from + range direction = start + u (end - start).
 #[inline]
-pub(crate) fn meet(segment: &Segment, from: Point2<f64>, direction: Vector2<f64>) -> Option<f64> {
+pub(crate) fn intersect(
+    segment: &Segment,
+    from: Point2<f64>,
+    direction: Vector2<f64>,
+) -> Option<f64> {
     let along = segment.end - segment.start;
     let to_start = segment.start - from;
     let denominator = cross(direction, along);
     let u = cross(to_start, direction) / denominator;
     let range_m = cross(to_start, along) / denominator;
-    // A parallel ray gives infinities or NaN, and so false.
+    // A parallel ray gives infinities or NaN, and the comparisons are false.
     let is_between_ends = (-END_SLACK..=1.0 + END_SLACK).contains(&u);
     (is_between_ends && 0.0 <= range_m).then_some(range_m)
 }
@@ -259,7 +270,7 @@ mod tests {
         outline(open, &[]).into_iter().map(wall).collect()
     }
 
-    /// Distances over ground of what a column from `from` holds.
+    /// Horizontal distances of the entries of a column.
     fn distances(world: &World, from: Point, bearing: f64, max_m: f64) -> Vec<f64> {
         let (sin, cos) = libm::sincos(bearing);
         let mut column = Vec::new();
@@ -267,10 +278,10 @@ mod tests {
         column.iter().map(|entry| entry.distance_m).collect()
     }
 
-    /// In a room of 10 x 6 m with a table in the way 2 m ahead, from its middle: table, back of the
-    /// table, wall; nothing behind the wall, though there is another room.
+    /// From the middle of a room of 10 x 6 m with a table 2 m ahead: front of the table, back of the
+    /// table, wall. The room behind the wall is not in the column.
     #[test]
-    fn a_column_lists_what_beams_may_pass_over_and_ends_at_a_wall() {
+    fn a_column_lists_low_surfaces_and_ends_at_a_wall() {
         let mut surfaces = walls(&[rect(0.0, 0.0, 10.0, 6.0), rect(10.2, 0.0, 15.0, 6.0)], 2.7);
         surfaces.extend(prism(&rect(7.0, 2.0, 8.0, 4.0).corners(), (0.0, 0.7), 0.5));
         let world = World::new(surfaces, vec![(rect(0.0, 0.0, 15.0, 6.0), 2.7)]);
@@ -281,16 +292,15 @@ mod tests {
         };
         close(distances(&world, from, 0.0, 70.0), &[2.0, 3.0, 5.0]);
         close(distances(&world, from, std::f64::consts::PI, 70.0), &[5.0]);
-        // Below the sky the walls do not end it.
+        // Without a ceiling, beams can pass over the walls.
         let world = World::new(world.surfaces().to_vec(), Vec::new());
         assert_eq!(distances(&world, from, 0.0, 70.0).len(), 3);
         let low = World::new(walls(&[rect(0.0, 0.0, 10.0, 6.0)], 0.85), Vec::new());
         close(distances(&low, Point::new(-0.5, 3.0), 0.0, 70.0), &[0.5, 10.5]);
     }
 
-    /// The grid finds what a search through all surfaces finds.
     #[test]
-    fn the_grid_misses_no_wall() {
+    fn the_grid_finds_the_same_wall_as_a_search_of_all_surfaces() {
         let open =
             [rect(0.0, 0.0, 30.0, 2.0), rect(28.0, 0.0, 30.0, 20.0), rect(3.0, 2.0, 7.0, 5.5)];
         let mut surfaces = walls(&open, 9.0);
@@ -302,8 +312,8 @@ mod tests {
             let (sin, cos) = libm::sincos(bearing);
             for from in [Point::new(5.5, 1.0), Point::new(29.0, 1.0), Point::new(6.5, 5.0)] {
                 let all = world.surfaces().iter();
-                let met = all.filter_map(|s| meet(&s.segment, from, Vector::new(cos, sin)));
-                let expected = met.fold(f64::INFINITY, f64::min);
+                let ranges = all.filter_map(|s| intersect(&s.segment, from, Vector::new(cos, sin)));
+                let expected = ranges.fold(f64::INFINITY, f64::min);
                 let found = distances(&world, from, bearing, 70.0)[0];
                 assert!((found - expected).abs() < 1e-12, "{found} {expected}");
             }

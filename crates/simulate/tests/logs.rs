@@ -1,4 +1,4 @@
-//! Logs read back with the mcap crate and `messages`, and held against the truth.
+//! Reads simulated logs with the mcap crate and `messages`, and compares them with the ground truth.
 
 use std::io::Cursor;
 
@@ -36,7 +36,7 @@ fn on_threads(n: usize, campus: &Campus) -> Vec<u8> {
     pool.install(|| write(campus, 0).0)
 }
 
-/// A log as its readers see it.
+/// The decoded messages of a log.
 #[derive(Default)]
 struct Log {
     scans: Vec<Scan>,
@@ -86,7 +86,7 @@ fn packets(log: &Log) -> impl Iterator<Item = (i64, Packet<'_>)> {
 }
 
 #[test]
-fn same_seed_same_bytes_on_any_number_of_threads() {
+fn the_same_seed_gives_the_same_bytes_on_any_number_of_threads() {
     // A building, and a campus with people, parked cars and all lasers.
     for (buildings, lasers) in [(1, Lasers::Three), (3, Lasers::All)] {
         let options = Options { length_m: 12.0, buildings, lasers, ..Options::default() };
@@ -94,7 +94,7 @@ fn same_seed_same_bytes_on_any_number_of_threads() {
         let bytes = on_threads(1, &campus(7));
         assert!(bytes == on_threads(2, &campus(7)), "1 and 2 threads differ");
         assert!(bytes == on_threads(5, &campus(7)), "1 and 5 threads differ");
-        assert!(bytes == write(&campus(7), 0).0, "the second time differs");
+        assert!(bytes == write(&campus(7), 0).0, "a second run differs");
         assert!(bytes != on_threads(1, &campus(8)), "seeds 7 and 8 do not differ");
         assert!(bytes != write(&campus(7), 1).0, "logs 0 and 1 do not differ");
     }
@@ -107,9 +107,10 @@ fn packets_follow_the_manual() {
     let log = read(&bytes);
     let drive = campus.drive(0);
 
-    // 6 m at 2 m/s: 2.8 s between the margins are 27 messages of 181 x 0.55296 ms = 0.10009 s;
-    // 27.02 turns.
-    let expected = DriveSummary { turns: 27, packets: 27 * 181, length_m: 6.0, duration_s: 3.0 };
+    // 6 m at 2 m/s take 3 s. The 2.8 s between the margins are 27 messages of 181 x 0.55296 ms =
+    // 0.10009 s, or 27.02 revolutions.
+    let expected =
+        DriveSummary { revolutions: 27, packets: 27 * 181, length_m: 6.0, duration_s: 3.0 };
     assert_eq!(summary, expected);
     assert_eq!(packets(&log).count() as u64, summary.packets);
 
@@ -120,7 +121,7 @@ fn packets_follow_the_manual() {
         assert_eq!((scan.stamp_ns, scan.log_time_ns), (last.0, last.0));
         borders.push(Packet::new(&first.1).unwrap().azimuth(0));
     }
-    // 181 packets are 36 030.87 counts: every border lies 31 counts after the one before.
+    // 181 packets are 36 030.87 counts: each message starts 31 counts later than the one before.
     assert!(0 < borders[0]);
     for pair in borders.windows(2) {
         let step = (i32::from(pair[1]) - i32::from(pair[0])).rem_euclid(36_000);
@@ -130,7 +131,7 @@ fn packets_follow_the_manual() {
     let mut expected_ns = drive.first_firing_ns();
     let mut azimuths = Vec::new();
     for (stamp_ns, packet) in packets(&log) {
-        // The stamp is the packet's end, the device's clock its first firing.
+        // The stamp is the end of the packet; the device clock is the time of its first firing.
         let device_us = expected_ns / 1000 % i64::from(hdl32e::HOUR_US);
         assert_eq!(i64::from(packet.device_time_us()), device_us);
         expected_ns += hdl32e::PACKET_PERIOD_NS;
@@ -139,8 +140,8 @@ fn packets_follow_the_manual() {
         assert_eq!(packet.product(), hdl32e::PRODUCT_HDL32E);
         assert_eq!(packet.return_mode(), Some(hdl32e::ReturnMode::Strongest));
     }
-    // A block's step is 16.5888 counts, read with a deviation of 0.3: after n blocks it is never off
-    // by more than five deviations and the rounding.
+    // The azimuth step of a block is 16.5888 counts, with a standard deviation of 0.3 counts. The limit
+    // after n blocks is five standard deviations plus rounding.
     for (n, pair) in azimuths.windows(2).enumerate() {
         let step = (pair[1] - pair[0]).rem_euclid(36_000);
         assert!((14..=19).contains(&step), "{step} after block {n}");
@@ -165,7 +166,7 @@ fn the_device_clock_wraps_at_the_top_of_the_hour_in_the_first_log_only() {
 }
 
 #[test]
-fn true_poses_surround_the_firings() {
+fn ground_truth_starts_before_the_first_firing_and_ends_after_the_last() {
     for encoding in [Encoding::Ros2, Encoding::Ros1] {
         let campus = Campus::new(&Options { encoding, ..quiet() }, 4).unwrap();
         let log = read(&write(&campus, 1).0);
@@ -186,10 +187,10 @@ fn true_poses_surround_the_firings() {
     }
 }
 
-/// The numbers of the robot's messages, by hand: standing, the force is gravity's alone; in motion
-/// the wheels' mean is the speed, and their difference over the track the yaw rate.
+/// Expected readings, worked out by hand: at rest the specific force is gravity. In motion the mean
+/// of the wheel speeds is the speed, and their difference divided by the track width is the yaw rate.
 #[test]
-fn wheels_and_imu_say_how_the_robot_moves() {
+fn wheels_and_imu_measure_the_motion_of_the_robot() {
     let mut options = Options { length_m: 60.0, ..quiet() };
     (options.wheels.slip, options.wheels.scale_error, options.wheels.scale_difference) =
         (0.0, 0.0, 0.0);
@@ -202,14 +203,14 @@ fn wheels_and_imu_say_how_the_robot_moves() {
     // 60 m at 2 m/s: 30 s at 50 and at 100 Hz.
     assert_eq!((wheels.len(), imu.len()), (1501, 3001));
     assert_eq!(wheels[0].names, WHEELS);
-    // Before the start the drive's poses stand still.
+    // The first reading has no motion before it.
     for reading in &wheels[1..] {
         let (now, before) = (reading.stamp_ns, reading.stamp_ns - 20_000_000);
         let (a, b) = (drive.pose_at(before), drive.pose_at(now));
         let moved_m = a.distance_m(&b);
         let turned_rad = dataset::wrap_angle(b.heading_rad - a.heading_rad);
         let [left, right] = reading.velocities[..] else { panic!("two wheels") };
-        // A count of 0.5 mm at either end, each, in 20 ms.
+        // The rounding error is one count of 0.5 mm at each end of an interval of 20 ms.
         assert!(((left + right) / 2.0 - moved_m / 0.02).abs() < 0.051, "{left} {right}");
         assert!(((right - left) / 0.5 - turned_rad / 0.02).abs() < 0.11, "{left} {right}");
     }
@@ -227,14 +228,17 @@ fn wheels_and_imu_say_how_the_robot_moves() {
     assert!(0.02 < pitched, "{pitched}");
 }
 
-/// map -> odom -> base_link is the truth; the sensor is mounted once, at the start of every file.
+/// map -> odom -> base_link gives the true pose. The static transform of the lidar is at the start of
+/// every file.
 #[test]
-fn transforms_lead_to_the_true_pose() {
+fn transforms_give_the_true_pose() {
     for upside_down in [false, true] {
         let options = Options { buildings: 3, upside_down, length_m: 30.0, ..quiet() };
         let campus = Campus::new(&options, 4).unwrap();
         let log = read(&write(&campus, 1).0);
-        let [mounted] = &log.tf_static[..] else { panic!("{} of them", log.tf_static.len()) };
+        let [mounted] = &log.tf_static[..] else {
+            panic!("{} static transforms", log.tf_static.len())
+        };
         assert_eq!((&*mounted[0].parent, &*mounted[0].child), ("base_link", "velodyne"));
         assert_eq!(mounted[0].translation, [0.0, 0.0, simulate::SENSOR_HEIGHT_M]);
         assert_eq!(mounted[0].rotation[0], f64::from(u8::from(upside_down)));
@@ -243,8 +247,8 @@ fn transforms_lead_to_the_true_pose() {
             let [a, b] = &transforms[..] else { panic!("two transforms") };
             let names = [&*a.parent, &*a.child, &*b.parent, &*b.child];
             assert_eq!(names, ["map", "odom", "odom", "base_link"]);
-            let turn = 2.0 * a.rotation[2].atan2(a.rotation[3]);
-            let (sin, cos) = turn.sin_cos();
+            let heading_rad = 2.0 * a.rotation[2].atan2(a.rotation[3]);
+            let (sin, cos) = heading_rad.sin_cos();
             let x = a.translation[0] + cos * b.translation[0] - sin * b.translation[1];
             let y = a.translation[1] + sin * b.translation[0] + cos * b.translation[1];
             let truth = campus.drive(1).pose_at(a.stamp_ns);
@@ -253,9 +257,8 @@ fn transforms_lead_to_the_true_pose() {
     }
 }
 
-/// The files of a split log hold, one after the other, what the whole one holds.
 #[test]
-fn a_log_in_three_files_is_the_same_log() {
+fn a_log_split_into_three_files_has_the_same_messages() {
     let whole = Campus::new(&Options { length_m: 12.0, ..quiet() }, 5).unwrap();
     let split = Campus::new(&Options { length_m: 12.0, files: 3, ..quiet() }, 5).unwrap();
     let mut joined = Log::default();
@@ -282,10 +285,10 @@ fn a_log_in_three_files_is_the_same_log() {
     );
 }
 
-/// Two blocks of one azimuth, the last return and the strongest; twice the packets in half the time
-/// each.
+/// Two blocks have the same azimuth: one with the last return and one with the strongest. There are
+/// twice as many packets, each of half the duration.
 #[test]
-fn dual_returns_come_in_pairs_of_blocks() {
+fn dual_returns_are_in_pairs_of_blocks() {
     let options = Options { dual_return: true, buildings: 3, length_m: 20.0, ..quiet() };
     let campus = Campus::new(&options, 3).unwrap();
     let log = read(&write(&campus, 0).0);
@@ -307,14 +310,14 @@ fn dual_returns_come_in_pairs_of_blocks() {
 }
 
 #[test]
-fn packets_are_lost_as_asked() {
+fn packet_loss_has_the_requested_rate() {
     let options = Options { packet_loss: 0.1, length_m: 20.0, ..quiet() };
     let campus = Campus::new(&options, 3).unwrap();
     let (bytes, summary) = write(&campus, 0);
     assert_eq!(packets(&read(&bytes)).count() as u64, summary.packets);
     let whole = Campus::new(&Options { packet_loss: 0.0, ..options }, 3).unwrap();
     let share = 1.0 - summary.packets as f64 / write(&whole, 0).1.packets as f64;
-    // 17 557 packets: the deviation is 0.0023.
+    // With 17 557 packets the standard deviation is 0.0023.
     assert!((share - 0.1).abs() < 0.01, "{share}");
 }
 
@@ -329,8 +332,8 @@ fn ranges(options: &Options) -> Vec<f64> {
 }
 
 #[test]
-fn noise_dropouts_and_people_are_as_asked() {
-    // Draws depend on what the beams meet, so only the sums can be compared.
+fn noise_dropouts_and_people_match_the_options() {
+    // Random draws depend on what the beams hit, so only totals can be compared.
     let clean = ranges(&quiet());
     let lost = |ranges: &[f64]| ranges.iter().filter(|r| **r <= 0.0).count() as f64;
     let dropped = ranges(&Options { dropout: 0.1, ..quiet() });
@@ -343,7 +346,7 @@ fn noise_dropouts_and_people_are_as_asked() {
     errors.sort_by(f64::total_cmp);
     let quantile = |share: f64| errors[(share * errors.len() as f64) as usize];
     let (median, spread) = (quantile(0.5), (quantile(0.8413) - quantile(0.1587)) / 2.0);
-    // The azimuth is read anew, which adds a little on slanted walls.
+    // The azimuth noise differs as well, which adds a little noise on slanted walls.
     assert!(median.abs() < 0.001 && (0.019..0.024).contains(&spread), "{median}, {spread}");
 
     let crowded = ranges(&Options { people: 200, ..quiet() });
@@ -353,7 +356,7 @@ fn noise_dropouts_and_people_are_as_asked() {
 }
 
 #[test]
-fn all_lasers_or_three() {
+fn only_the_selected_lasers_return() {
     let mut horizontal = Vec::new();
     for (lasers, expected) in [(Lasers::Three, 14..17), (Lasers::All, 0..32)] {
         let campus = Campus::new(&Options { lasers, length_m: 1.0, ..quiet() }, 2).unwrap();
@@ -371,7 +374,7 @@ fn all_lasers_or_three() {
 }
 
 #[test]
-fn the_file_says_how_it_was_made_and_holds_to_the_format() {
+fn a_file_is_valid_mcap_and_stores_its_seed_and_options() {
     for (encoding, profile, schema_encoding, scan_name) in [
         (Encoding::Ros2, "ros2", "ros2msg", "velodyne_msgs/msg/VelodyneScan"),
         (Encoding::Ros1, "ros1", "ros1msg", "velodyne_msgs/VelodyneScan"),
@@ -382,8 +385,8 @@ fn the_file_says_how_it_was_made_and_holds_to_the_format() {
             let (bytes, _) = write(&campus, 1);
             let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
             let stats = summary.stats.clone().unwrap();
-            // 27 scans; from 0 s to 3 s poses every 0.05 s, wheels and transforms every 0.02 s, the
-            // inertial measurement unit every 0.01 s; the sensor's mount.
+            // 27 scans. From 0 s to 3 s: poses every 0.05 s, wheels and transforms every 0.02 s, IMU
+            // every 0.01 s. One static transform.
             assert_eq!(stats.message_count, 27 + 61 + 2 * 151 + 301 + 1);
             let drive = campus.drive(1);
             assert_eq!(stats.message_start_time as i64, drive.start_ns());
@@ -408,7 +411,7 @@ fn the_file_says_how_it_was_made_and_holds_to_the_format() {
             }
             assert_eq!(found, [(profile.to_owned(), "loopboost simulate".to_owned())]);
 
-            // Chunk after chunk with its CRC; times never step back, within a file.
+            // Reading each chunk checks its CRC. Log times never decrease within a file.
             let mut last = 0;
             assert!(1 < summary.chunk_indexes.len());
             for chunk in &summary.chunk_indexes {
@@ -423,7 +426,7 @@ fn the_file_says_how_it_was_made_and_holds_to_the_format() {
 }
 
 #[test]
-fn options_have_defaults_and_unknown_keys_fail() {
+fn options_have_defaults_and_unknown_keys_are_errors() {
     let parse = toml::from_str::<Options>;
     assert_eq!(parse("").unwrap(), Options::default());
     let options = parse("encoding = \"ros1\"\ncompression = \"none\"\nlasers = \"all\"").unwrap();
@@ -436,7 +439,7 @@ fn options_have_defaults_and_unknown_keys_fail() {
 }
 
 #[test]
-fn bad_options_are_named() {
+fn errors_name_the_invalid_option() {
     #[track_caller]
     fn check(change: impl FnOnce(&mut Options), expected: &str) {
         let mut options = Options::default();
@@ -444,12 +447,18 @@ fn bad_options_are_named() {
         let error = Campus::new(&options, 1).expect_err(expected).to_string();
         assert!(error.contains(expected), "{error}\n{expected}");
     }
-    check(|o| o.logs.clear(), "simulate.logs is empty");
+    check(|o| o.logs.clear(), "`simulate.logs` is empty");
     for name in ["", "a/b", "..", ".hidden", "-x", "a b", "lap*", "über"] {
-        check(|o| o.logs = vec![name.to_owned()], &format!("{name:?}, which is no file stem"));
+        check(
+            |o| o.logs = vec![name.to_owned()],
+            &format!("{name:?}, which is not a valid file stem"),
+        );
     }
-    check(|o| o.logs = vec!["a".repeat(101)], "no file stem");
-    check(|o| o.logs = ["a", "b", "A"].map(str::to_owned).into(), "simulate.logs has \"A\" twice");
+    check(|o| o.logs = vec!["a".repeat(101)], "not a valid file stem");
+    check(
+        |o| o.logs = ["a", "b", "A"].map(str::to_owned).into(),
+        "`simulate.logs` contains \"A\" twice",
+    );
     check(|o| o.length_m = f64::NAN, "simulate.length_m is NaN, expected 0.1 to 1000000");
     check(|o| o.length_m = -1.0, "simulate.length_m is -1, expected");
     check(|o| o.speed_m_s = 0.0, "simulate.speed_m_s is 0, expected");
@@ -461,11 +470,11 @@ fn bad_options_are_named() {
     check(|o| o.buildings = 0, "simulate.buildings is 0, expected 1 to 40");
     check(|o| o.imu.gyro_bias = -1.0, "simulate.imu.gyro_bias is -1, expected 0 to 1");
     check(|o| o.wheels.track_m = 0.0, "simulate.wheels.track_m is 0, expected 0.05 to 5");
-    // 200 s are 1998 turns: no more than 999 files of two.
+    // 200 s are 1998 revolutions: at most 999 files of two each.
     check(|o| o.files = 1000, "simulate.files is 1000, expected 1 to 999");
-    check(|o| o.map = Some("map.yaml".to_owned()), "simulate.map is set");
-    // A message of 0.10009 s and two margins of 0.1 s, at 2 m/s: 0.60017 m.
-    check(|o| o.length_m = 0.6, "drive at least 0.600 m");
+    check(|o| o.map = Some("map.yaml".to_owned()), "`simulate.map` is set");
+    // A message of 0.10009 s and two margins of 0.1 s at 2 m/s: 0.60017 m.
+    check(|o| o.length_m = 0.6, "`simulate.length_m` is 0.6, expected 0.600 or more");
     let enough = Options { length_m: 0.6002, ..Options::default() };
     assert_eq!(write(&Campus::new(&enough, 1).unwrap(), 0).1.packets, 181);
 
@@ -484,12 +493,12 @@ fn a_full_disk_is_an_error() {
     assert!(matches!(error, SimulateError::Write(_)), "{error}");
 }
 
-/// A ring of corridors, 2 m wide, around a block of 16 m x 6 m, with a room that no robot can get
-/// into: drives go around, both ways, clear of walls, and the ranges fit.
+/// A ring of corridors, 2 m wide, around a block of 16 m x 6 m that contains a closed room. The drives
+/// go around the ring in both directions, clear of walls, and the ranges match the map.
 #[test]
-fn a_map_is_driven_on() {
+fn drives_on_a_map_keep_clear_of_walls() {
     let folder = tempfile::tempdir().unwrap();
-    let (n_x, n_y) = (220, 120); // 0.1 m a pixel, 1 m of border
+    let (n_x, n_y) = (220, 120); // 0.1 m per pixel, 1 m of border
     let shade = |i: i32, j: i32| {
         let (x, y) = (f64::from(i) * 0.1, f64::from(j) * 0.1);
         let in_block = (3.0..19.0).contains(&x) && (3.0..9.0).contains(&y);
@@ -513,7 +522,7 @@ fn a_map_is_driven_on() {
             let drive = campus.drive(log);
             for k in 0..2000 {
                 let pose = drive.pose_at(drive.start_ns() + k * 30_000_000);
-                // In the frame of the image's lower left corner.
+                // In the frame of the lower left corner of the image.
                 let (x, y) = (pose.x_m + 3.0, pose.y_m - 2.0);
                 let outer_m = (x - 1.0).min(21.0 - x).min(y - 1.0).min(11.0 - y);
                 let inner_m = (3.0 - x).max(x - 19.0).max(3.0 - y).max(y - 9.0);
@@ -529,8 +538,8 @@ fn a_map_is_driven_on() {
     )
     .unwrap();
     assert!(bytes() == written, "plain and raw images differ");
-    // Within the ring no wall is farther than its diagonal of 22.4 m, and every level beam meets one;
-    // some see it too slanted to return, and some lean down to the floor.
+    // In the ring every level beam hits a wall within its diagonal of 22.4 m. Some beams do not return
+    // because of grazing incidence, and some hit the floor because of the pitch.
     let log = read(&written);
     let ranges = packets(&log).flat_map(|(_, p)| (0..12).map(move |b| p.distance(b, 15)));
     let (n, n_off) = ranges.fold((0, 0), |(n, n_off), counts| {
@@ -549,9 +558,10 @@ fn a_map_is_driven_on() {
     assert!(
         error(&text.replace(", 0.0]", ", 1.0]")).contains("the yaw of `origin` is 1, expected 0")
     );
-    assert!(error(&text.replace("map.pgm", "none.pgm")).contains("none.pgm: cannot be read"));
+    let missing = error(&text.replace("map.pgm", "none.pgm"));
+    assert!(missing.contains("cannot read") && missing.contains("none.pgm"), "{missing}");
     std::fs::write(folder.path().join("map.pgm"), header("P5")).unwrap();
-    assert!(error(text).contains("map.pgm: holds 0 pixels, expected 26400"));
+    assert!(error(text).contains("map.pgm: contains 0 pixels, expected 26400"));
     std::fs::write(folder.path().join("map.pgm"), "P6").unwrap();
-    assert!(error(text).contains("is no PGM image"));
+    assert!(error(text).contains("is not a PGM image"));
 }

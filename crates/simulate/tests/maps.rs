@@ -1,12 +1,12 @@
-//! Drives on a map, on days that differ.
+//! Drives on a map on different days.
 
 use std::path::Path;
 
 use dataset::Pose2;
 use simulate::{Campus, Map, Options, Point, Surface, write_drive};
 
-/// 24 m x 16 m at 0.1 m a pixel: a corridor of 2.4 m along the middle, below and above it two rooms
-/// each, whose doors are 1.2 m wide; walls of 0.2 m.
+/// A map of 24 m x 16 m at 0.1 m per pixel: a corridor 2.4 m wide along the middle, with two rooms on
+/// each side. Doors are 1.2 m wide and walls 0.2 m thick.
 fn map(folder: &Path) -> Map {
     let (n_x, n_y) = (240, 160);
     let is_wall = |i: i32, j: i32| {
@@ -33,36 +33,39 @@ fn campus(seed: u64, length_m: f64, n_logs: usize) -> Campus {
     Campus::on_map(&options, seed, map(folder.path())).unwrap()
 }
 
-/// Surfaces of log a that log b does not have.
+/// The surfaces of log `a` that log `b` does not have.
 fn only(campus: &Campus, a: usize, b: usize) -> Vec<Surface> {
     let of_b = campus.drive(b).surfaces();
     campus.drive(a).surfaces().iter().filter(|surface| !of_b.contains(surface)).copied().collect()
 }
 
 #[test]
-fn furniture_moves_and_doors_are_shut_from_day_to_day() {
+fn furniture_moves_and_doors_open_and_close_from_day_to_day() {
     let campus = campus(5, 60.0, 6);
-    // Four doorways, at the lower edges of their walls' first pixels.
+    // The four doors are in the middle of the first row of pixels of their walls.
     let is_door = |s: &Surface| {
         let (a, b) = (s.segment.start, s.segment.end);
         (a.y - b.y).abs() < 1e-9 && ((b.x - a.x).abs() - 1.2).abs() < 1e-9 && s.z_high_m == 2.7
     };
-    let mut shut = Vec::new();
+    let mut closed_doors = Vec::new();
     for log in 0..6 {
         let surfaces = campus.drive(log).surfaces();
         let n_furniture = surfaces.iter().filter(|s| s.z_high_m < 2.0).count();
         assert!(16 <= n_furniture, "{n_furniture} sides of furniture in log {log}");
         let doors = surfaces.iter().filter(|s| is_door(s));
-        shut.push(
+        closed_doors.push(
             doors.map(|s| (s.segment.start.x.round(), s.segment.start.y)).collect::<Vec<_>>(),
         );
     }
-    assert!(shut.iter().any(|of_day| !of_day.is_empty()), "no door is ever shut");
-    assert!(shut.iter().any(|of_day| *of_day != shut[0]), "the same doors are shut every day");
-    for &(x, y) in shut.iter().flatten() {
+    assert!(closed_doors.iter().any(|of_day| !of_day.is_empty()), "all doors are always open");
+    assert!(
+        closed_doors.iter().any(|of_day| *of_day != closed_doors[0]),
+        "the same doors are closed every day"
+    );
+    for &(x, y) in closed_doors.iter().flatten() {
         assert!([5.0, 18.0].contains(&x) && ((y - 6.65).abs() < 1e-9 || (y - 9.25).abs() < 1e-9));
     }
-    // Walls stay.
+    // Walls do not change.
     let changed = only(&campus, 0, 1);
     assert!(!changed.is_empty() && changed.iter().all(|s| s.z_high_m < 2.0 || is_door(s)));
     for log in 0..6 {
@@ -70,9 +73,9 @@ fn furniture_moves_and_doors_are_shut_from_day_to_day() {
         for k in 0..3000 {
             let Pose2 { x_m, y_m, .. } = drive.pose_at(drive.start_ns() + k * 10_000_000);
             let at = Point::new(x_m, y_m);
-            // Walls are for the route to keep clear of.
-            let loose = drive.surfaces().iter().filter(|s| s.z_high_m < 2.0 || is_door(s));
-            let clear_m = loose.map(|s| s.segment.distance_m(at));
+            // The distance to walls is tested in `logs.rs`.
+            let movables = drive.surfaces().iter().filter(|s| s.z_high_m < 2.0 || is_door(s));
+            let clear_m = movables.map(|s| s.segment.distance_m(at));
             let clear_m = clear_m.fold(f64::MAX, f64::min);
             assert!(0.4 < clear_m, "log {log}: {clear_m} m at {at}");
         }

@@ -1,5 +1,5 @@
-//! What a simulated ring looks like, beside a real one: `hdl32e-street`, 2.5 turns of an HDL-32E in
-//! a street. docs/simulation.md shows the numbers.
+//! Compares simulated scans with real ones: `hdl32e-street`, 2.5 revolutions of an HDL-32E in a street.
+//! docs/simulation.md lists the numbers.
 
 use std::fs;
 use std::io::Cursor;
@@ -24,19 +24,19 @@ fn street() -> Option<Vec<u8>> {
 
 #[derive(Debug, Default)]
 struct Statistics {
-    /// Share of the firings of laser 15 that return.
+    /// Fraction of the firings of laser 15 that return.
     returns: f64,
-    /// The same of all lasers that ever do.
+    /// Mean of the same fraction over all lasers with returns.
     all_returns: f64,
-    /// Quartile and median of the deviations from a straight wall in windows of 15 returns \[m\].
+    /// Lower quartile and median of the deviation from a straight wall in windows of 15 returns \[m\].
     noise_m: (f64, f64),
-    /// Quartile and median of the distance between neighbours over their range.
+    /// Lower quartile and median of the distance between neighbouring returns, divided by the range.
     spacing: (f64, f64),
-    /// Shares of the azimuth steps that are one count less than the median, equal, one more.
+    /// Fractions of azimuth steps that are one count below the median, equal to it, and one above.
     steps: [f64; 3],
-    /// Median step \[0.01 deg\].
+    /// Median azimuth step \[0.01 deg\].
     step: u16,
-    /// Mean period of the packets, by the host and by the device \[us\].
+    /// Mean packet period by the clocks of the host and of the device \[us\].
     period_us: (f64, f64),
 }
 
@@ -88,7 +88,7 @@ fn statistics(log: &[u8]) -> Statistics {
     let alive: Vec<f64> =
         returns_by_laser.iter().filter(|n| 0 < **n).map(|&returns| returns as f64 / n).collect();
     let mean_us = |span: i64| span as f64 / (stamps.len() - 1) as f64;
-    // The device's clock may pass the top of the hour.
+    // The device clock may wrap at the top of the hour.
     let device_us = i64::from(clock[clock.len() - 1]) - i64::from(clock[0]);
     Statistics {
         returns: returns_by_laser[HORIZONTAL_LASER] as f64 / n,
@@ -104,13 +104,13 @@ fn statistics(log: &[u8]) -> Statistics {
     }
 }
 
-/// Deviation of the ranges from a straight wall, 1/r = a cos t + b sin t, by least squares.
+/// Deviation of the ranges from a straight wall, 1/r = a cos t + b sin t, fitted by least squares.
 fn off_a_wall_m(window: &[(u16, f64)]) -> Option<f64> {
     if window.iter().any(|(_, range_m)| *range_m <= 0.0) {
         return None;
     }
     let (mut cc, mut cs, mut ss, mut cr, mut sr) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    // About the window's own middle, for the sake of rounding.
+    // Angles relative to the middle of the window keep rounding errors small.
     let middle = window[window.len() / 2].0;
     let angle = |azimuth: u16| (f64::from(azimuth) - f64::from(middle)).to_radians() * 0.01;
     for &(azimuth, range_m) in window {
@@ -131,10 +131,11 @@ fn off_a_wall_m(window: &[(u16, f64)]) -> Option<f64> {
     Some((squares / (window.len() - 2) as f64).sqrt())
 }
 
-/// Outdoors between buildings, at the street log's own 9.06 turns a second. Another street has
-/// other distances, so that shares of returns agree less well than what the sensor alone makes.
+/// A drive outdoors between buildings, at the 9.06 revolutions per second of the real log. The
+/// fraction of returns depends on the street, so its tolerance is larger than that of the values that
+/// depend on the sensor only.
 #[test]
-fn a_simulated_ring_looks_like_a_real_one() {
+fn simulated_scans_have_the_statistics_of_real_ones() {
     let Some(street) = street() else { return };
     let options = Options {
         buildings: 7,

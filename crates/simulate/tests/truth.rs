@@ -1,4 +1,4 @@
-//! What the sensors say, held against the truth.
+//! Compares sensor readings with the ground truth.
 
 use std::collections::HashMap;
 use std::io::Cursor;
@@ -14,7 +14,7 @@ fn quiet() -> Options {
     Options { range_noise_m: 0.0, dropout: 0.0, mixed_pixels: 0.0, people: 0, ..Options::default() }
 }
 
-/// A return, placed in the map by the manual's numbers alone.
+/// A return in the map frame, decoded with the numbers of the manual only.
 struct Return {
     from: [f64; 3],
     point: [f64; 3],
@@ -22,7 +22,7 @@ struct Return {
     laser: usize,
 }
 
-/// Some of the returns of a file of a log: one firing in `every`.
+/// The returns of every `every`-th firing of a file.
 fn returns(campus: &Campus, file: u32, every: usize) -> Vec<Return> {
     let mut out = Cursor::new(Vec::new());
     write_drive(campus, 0, file, &mut out).unwrap();
@@ -51,7 +51,7 @@ fn returns(campus: &Campus, file: u32, every: usize) -> Vec<Return> {
                         continue;
                     }
                     let azimuth = (u16_at(2) * 0.01 + step_deg * laser as f64 / 40.0).to_radians();
-                    // -30.67 deg to 10.67 deg; even lasers the lower half.
+                    // -30.67 deg to 10.67 deg; even lasers are the lower half.
                     let ring = if laser % 2 == 0 { laser / 2 } else { 16 + laser / 2 };
                     let elevation = ((-92.0 + 4.0 * ring as f64) / 3.0).to_radians();
                     let mut d = [
@@ -78,7 +78,7 @@ fn returns(campus: &Campus, file: u32, every: usize) -> Vec<Return> {
     returns
 }
 
-/// Surfaces by the cells of 2 m that they touch, their neighbours included.
+/// Surfaces by the 2 m cells that they touch, including neighbouring cells.
 struct Index<'a> {
     drive: &'a Drive,
     cells: HashMap<(i64, i64), Vec<&'a Surface>>,
@@ -101,8 +101,8 @@ impl<'a> Index<'a> {
         Self { drive, cells }
     }
 
-    /// How far a point is off what it can be on: a surface, the floor, a ceiling. Leaves are a
-    /// volume, any place in which is on them.
+    /// Distance of a point to the nearest surface, floor or ceiling. Foliage is a volume, and any
+    /// point inside it has distance 0.
     fn off_m(&self, [x, y, z]: [f64; 3]) -> f64 {
         let cell = ((x / CELL_M).floor() as i64, (y / CELL_M).floor() as i64);
         let of_surface = |surface: &&Surface| {
@@ -117,22 +117,23 @@ impl<'a> Index<'a> {
     }
 }
 
-/// The packet rounds ranges to 2 mm (error up to 1 mm) and azimuths to 0.01 deg, and the azimuth is
-/// read with a deviation of 0.003 deg: six of those and the rounding are 0.023 deg, 4e-4 rad,
-/// and the other lasers of a firing take the heading of its middle: 5e-5 rad.
+/// Largest expected distance of a return from its surface \[m\].
 ///
-/// Noise of a range never goes beyond 3.46 deviations.
+/// A packet rounds ranges to 2 mm (error up to 1 mm) and azimuths to 0.01 deg. The azimuth noise has a
+/// standard deviation of 0.003 deg. Six standard deviations plus rounding are 0.023 deg, or 4e-4 rad.
+/// All lasers of a firing use the heading at its middle, which adds 5e-5 rad. Range noise is at most
+/// 3.46 standard deviations.
 fn limit_m(range_m: f64, noise_m: f64) -> f64 {
     0.0015 + 5e-4 * range_m + 3.47 * noise_m
 }
 
-/// From outdoors and from within all seven buildings, all lasers, either way up, without noise of the
-/// range and with it. At upright edges a
-/// beam may meet the surface beside the one that its reported azimuth points to, at a range of that.
+/// Returns of all lasers, outdoors and in each of seven buildings, upright and upside down, with and
+/// without range noise. At a vertical edge, a beam may hit the neighbour of the surface that its
+/// reported azimuth points to; a few returns are therefore allowed to be off.
 #[test]
-fn every_return_lies_on_what_stands_there() {
+fn returns_are_on_surfaces() {
     for (upside_down, range_noise_m) in [(false, 0.0), (true, 0.0), (false, 0.004), (true, 0.004)] {
-        // Around the campus in a hurry; every eighth file of 80.
+        // A fast lap around the campus; every fourth of 80 files is checked.
         let options = Options {
             buildings: 7,
             lasers: Lasers::All,
@@ -169,13 +170,12 @@ fn every_return_lies_on_what_stands_there() {
             "upside down: {upside_down}, noise {range_noise_m} m: {n_off} of {n} off, {n_exact} exact, {from_building:?}"
         );
         assert!(n_off * 2000 < n, "{n_off} of {n} returns are off all surfaces");
-        // Noise there is: it takes a part of the returns beyond what rounding can.
+        // With noise, some of the returns are farther off than rounding explains.
         assert!(range_noise_m <= 0.0 || n_exact * 10 < n * 9, "{n_exact} of {n} are exact");
     }
 }
 
-/// Poses fused from the encoders and the inertial measurement unit of a lap of the campus, with all
-/// errors of the defaults.
+/// Poses fused from wheel encoders and IMU on a lap of the campus, with the default sensor errors.
 #[test]
 fn fused_poses_stay_within_half_a_percent_of_the_distance() {
     for (speed_m_s, seed) in [1.0, 1.5, 2.0].into_iter().flat_map(|v| [(v, 1), (v, 2436)]) {
@@ -223,7 +223,7 @@ fn fused_poses_stay_within_half_a_percent_of_the_distance() {
                 fused.report.distance_m,
                 fused.report.gyro_bias_mean_rad_s
             );
-            // Half a percent is 8.5 m; labels within 1.5 m ask for less.
+            // Half a percent is 8.5 m, but labels within 1.5 m need less.
             assert!(largest_m < 1.7, "{largest_m} m");
         }
     }

@@ -42,7 +42,7 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
 
 fn drive(run: &Run, campus: &Campus, k: usize, name: &str) -> Result<Done> {
     let paths = run.paths_of(Artifact::Log, Some(name));
-    let (mut turns, mut packets, mut length_m, mut duration_s) = (0, 0, 0.0, 0.0);
+    let (mut revolutions, mut packets, mut length_m, mut duration_s) = (0, 0, 0.0, 0.0);
     for (file, path) in paths.iter().enumerate() {
         let summary = write_atomically(path, |mut out: BufWriter<File>| {
             let summary = simulate::write_drive(campus, k, file as u32, &mut out)
@@ -53,7 +53,7 @@ fn drive(run: &Run, campus: &Campus, k: usize, name: &str) -> Result<Done> {
             WriteLog::Simulate(e) => e.context(format!("cannot simulate {}", path.display())),
             WriteLog::Table(e) => e.into(),
         })?;
-        turns += summary.turns;
+        revolutions += summary.revolutions;
         packets += summary.packets;
         length_m += summary.length_m;
         duration_s += summary.duration_s;
@@ -63,7 +63,7 @@ fn drive(run: &Run, campus: &Campus, k: usize, name: &str) -> Result<Done> {
         n => format!(" in {n} files"),
     };
     let said = format!(
-        "{name}: {length_m:.0} m in {duration_s:.0} s, {turns} turns, {packets} packets{files}"
+        "{name}: {length_m:.0} m in {duration_s:.0} s, {revolutions} revolutions, {packets} packets{files}"
     );
     Ok(Done { outputs: paths, said: vec![said], ..Done::default() })
 }
