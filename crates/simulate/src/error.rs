@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use dataset::OutOfRange;
+
 /// Why a drive could not be simulated or written.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
@@ -23,17 +25,8 @@ pub enum SimulateError {
         name: String,
     },
     /// An option is outside its limits, or not a number.
-    #[error("simulate.{option} is {found}, expected {min} to {max}")]
-    OutOfRange {
-        /// The option's key.
-        option: &'static str,
-        /// Its value.
-        found: f64,
-        /// Smallest value allowed.
-        min: f64,
-        /// Largest value allowed.
-        max: f64,
-    },
+    #[error(transparent)]
+    OutOfRange(#[from] OutOfRange),
     /// The drive is too short for one message of packets.
     #[error(
         "`simulate.length_m` is {length_m}, expected {needed_m:.3} or more: at `simulate.speed_m_s` = {speed_m_s} the drive ends before the lidar completes a revolution"

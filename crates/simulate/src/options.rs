@@ -1,5 +1,8 @@
 //! The options of a simulation, and their limits.
 
+use std::fmt::Display;
+
+use dataset::OutOfRange;
 use serde::{Deserialize, Serialize};
 
 use crate::SimulateError;
@@ -236,7 +239,7 @@ impl Options {
             ("imu.acceleration_noise", imu.acceleration_noise, 0.0, 1.0),
         ] {
             if !(min <= found && found <= max) {
-                return Err(SimulateError::OutOfRange { option, found, min, max });
+                return Err(out_of_range(option, found, min, max));
             }
         }
         if self.duration_s() < shortest_s(self) {
@@ -247,11 +250,20 @@ impl Options {
         // Every file must contain at least two revolutions of the lidar.
         let most = (self.duration_s() / message_s(self) / 2.0).floor().max(1.0);
         if most < f64::from(self.files) {
-            let (option, found) = ("files", f64::from(self.files));
-            return Err(SimulateError::OutOfRange { option, found, min: 1.0, max: most });
+            return Err(out_of_range("files", self.files, 1, most));
         }
         Ok(())
     }
+}
+
+/// The error for an option of `[simulate]` outside its limits.
+fn out_of_range(
+    option: &str,
+    found: impl Display,
+    min: impl Display,
+    max: impl Display,
+) -> SimulateError {
+    OutOfRange::new(format!("simulate.{option}"), found, format!("{min} to {max}")).into()
 }
 
 /// Whether a name is valid on every common file system and has no special meaning in shells or

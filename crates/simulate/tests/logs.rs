@@ -459,19 +459,19 @@ fn errors_name_the_invalid_option() {
         |o| o.logs = ["a", "b", "A"].map(str::to_owned).into(),
         "`simulate.logs` contains \"A\" twice",
     );
-    check(|o| o.length_m = f64::NAN, "simulate.length_m is NaN, expected 0.1 to 1000000");
-    check(|o| o.length_m = -1.0, "simulate.length_m is -1, expected");
-    check(|o| o.speed_m_s = 0.0, "simulate.speed_m_s is 0, expected");
-    check(|o| o.spin_hz = f64::INFINITY, "simulate.spin_hz is inf, expected 5 to 20");
-    check(|o| o.spin_hz = 4.9, "simulate.spin_hz is 4.9, expected 5 to 20");
-    check(|o| o.range_noise_m = -0.1, "simulate.range_noise_m is -0.1, expected 0 to 1");
-    check(|o| o.dropout = 1.5, "simulate.dropout is 1.5, expected 0 to 1");
-    check(|o| o.people = 1001, "simulate.people is 1001, expected 0 to 1000");
-    check(|o| o.buildings = 0, "simulate.buildings is 0, expected 1 to 40");
-    check(|o| o.imu.gyro_bias = -1.0, "simulate.imu.gyro_bias is -1, expected 0 to 1");
-    check(|o| o.wheels.track_m = 0.0, "simulate.wheels.track_m is 0, expected 0.05 to 5");
+    check(|o| o.length_m = f64::NAN, "`simulate.length_m` is NaN, expected 0.1 to 1000000");
+    check(|o| o.length_m = -1.0, "`simulate.length_m` is -1, expected");
+    check(|o| o.speed_m_s = 0.0, "`simulate.speed_m_s` is 0, expected");
+    check(|o| o.spin_hz = f64::INFINITY, "`simulate.spin_hz` is inf, expected 5 to 20");
+    check(|o| o.spin_hz = 4.9, "`simulate.spin_hz` is 4.9, expected 5 to 20");
+    check(|o| o.range_noise_m = -0.1, "`simulate.range_noise_m` is -0.1, expected 0 to 1");
+    check(|o| o.dropout = 1.5, "`simulate.dropout` is 1.5, expected 0 to 1");
+    check(|o| o.people = 1001, "`simulate.people` is 1001, expected 0 to 1000");
+    check(|o| o.buildings = 0, "`simulate.buildings` is 0, expected 1 to 40");
+    check(|o| o.imu.gyro_bias = -1.0, "`simulate.imu.gyro_bias` is -1, expected 0 to 1");
+    check(|o| o.wheels.track_m = 0.0, "`simulate.wheels.track_m` is 0, expected 0.05 to 5");
     // 200 s are 1998 revolutions: at most 999 files of two each.
-    check(|o| o.files = 1000, "simulate.files is 1000, expected 1 to 999");
+    check(|o| o.files = 1000, "`simulate.files` is 1000, expected 1 to 999");
     check(|o| o.map = Some("map.yaml".to_owned()), "`simulate.map` is set");
     // A message of 0.10009 s and two margins of 0.1 s at 2 m/s: 0.60017 m.
     check(|o| o.length_m = 0.6, "`simulate.length_m` is 0.6, expected 0.600 or more");
