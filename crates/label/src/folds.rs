@@ -51,7 +51,7 @@ impl Grouping {
 
 /// How pairs are dealt to folds.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Dealing {
+pub struct FoldOptions {
     /// What may not stand on both sides.
     pub grouping: Grouping,
     /// Folds at most; fewer groups give a fold each.
@@ -72,19 +72,19 @@ pub struct Folds {
     /// Fold of each pair's query and of its reference, `(n_pairs, 2)`.
     pub folds: Vec<[u32; 2]>,
     /// Fold of each keyframe, `(n_keyframes,)`; empty where pairs were dealt.
-    pub of_keyframes: Vec<u32>,
+    pub keyframe_folds: Vec<u32>,
     /// A pseudo-random number for each pair, from the seed and its scans' names, `(n_pairs,)`: a
     /// surplus of one class in a training set is the pairs of the largest keys.
     pub keys: Vec<u64>,
 }
 
 /// Deals pairs to folds by the seed.
-pub fn folds(
-    dealing: &Dealing,
+pub fn assign_folds(
+    options: &FoldOptions,
     keyframes: &[Keyframe],
     pairs: &[Pair],
 ) -> Result<Folds, LabelError> {
-    let Dealing { grouping, n_folds, place_m, seed } = *dealing;
+    let FoldOptions { grouping, n_folds, place_m, seed } = *options;
     let refuse = |key, found, expected| Err(LabelError::Option { key, found, expected });
     if n_folds < 2 {
         return refuse("evaluate.folds", f64::from(n_folds), "2 or more");
@@ -99,11 +99,11 @@ pub fn folds(
         pairs.iter().map(|p| pair_key(hashes[p.query], hashes[p.reference])).collect();
     let groups = match grouping {
         Grouping::Pair => {
-            let folds = deal_pairs(n_folds, &keys, pairs)?;
+            let folds = assign_pairs(n_folds, &keys, pairs)?;
             let groups = (0..pairs.len() as u32).map(|k| [k, k]).collect();
-            return Ok(Folds { n_folds, groups, folds, of_keyframes: Vec::new(), keys });
+            return Ok(Folds { n_folds, groups, folds, keyframe_folds: Vec::new(), keys });
         }
-        Grouping::Scan => Groups { of_keyframes: (0..keyframes.len() as u32).collect(), hashes },
+        Grouping::Scan => Groups { keyframe_groups: (0..keyframes.len() as u32).collect(), hashes },
         Grouping::Place => Groups::by(
             keyframes,
             |k| {
@@ -125,22 +125,22 @@ pub fn folds(
         });
     }
     let n_folds = n_folds.min(n_groups as u32);
-    let of_groups = groups.deal(n_folds);
-    let of_keyframes: Vec<u32> =
-        groups.of_keyframes.iter().map(|&group| of_groups[group as usize]).collect();
+    let of_groups = groups.assign(n_folds);
+    let keyframe_folds: Vec<u32> =
+        groups.keyframe_groups.iter().map(|&group| of_groups[group as usize]).collect();
     let ends = |of: &[u32]| pairs.iter().map(|p| [of[p.query], of[p.reference]]).collect();
     Ok(Folds {
         n_folds,
-        groups: ends(&groups.of_keyframes),
-        folds: ends(&of_keyframes),
-        of_keyframes,
+        groups: ends(&groups.keyframe_groups),
+        folds: ends(&keyframe_folds),
+        keyframe_folds,
         keys,
     })
 }
 
 /// The pairs of each class are shuffled by their keys and dealt in turn, so that the folds' sizes
 /// differ by at most one pair of each class.
-fn deal_pairs(n_folds: u32, keys: &[u64], pairs: &[Pair]) -> Result<Vec<[u32; 2]>, LabelError> {
+fn assign_pairs(n_folds: u32, keys: &[u64], pairs: &[Pair]) -> Result<Vec<[u32; 2]>, LabelError> {
     let mut folds = vec![[0; 2]; pairs.len()];
     for (label, class) in [(Label::Positive, "positive"), (Label::Negative, "negative")] {
         let mut shuffled: Vec<(u64, usize)> = (0..pairs.len())
@@ -165,7 +165,7 @@ fn deal_pairs(n_folds: u32, keys: &[u64], pairs: &[Pair]) -> Result<Vec<[u32; 2]
 /// Which group each keyframe is of.
 struct Groups {
     /// `(n_keyframes,)`
-    of_keyframes: Vec<u32>,
+    keyframe_groups: Vec<u32>,
     /// A pseudo-random number for each group, `(n_groups,)`.
     hashes: Vec<u64>,
 }
@@ -182,7 +182,7 @@ impl Groups {
             *place = number;
         }
         Self {
-            of_keyframes: keyframes.iter().map(|k| numbers[&name(k)]).collect(),
+            keyframe_groups: keyframes.iter().map(|k| numbers[&name(k)]).collect(),
             hashes: numbers.keys().map(hash).collect(),
         }
     }
@@ -190,18 +190,18 @@ impl Groups {
     /// The fold of each group: the largest group first, each to the fold that holds the fewest
     /// keyframes so far (Graham 1969, "Bounds on multiprocessing timing anomalies"); groups of one
     /// size in the seed's order.
-    fn deal(&self, n_folds: u32) -> Vec<u32> {
+    fn assign(&self, n_folds: u32) -> Vec<u32> {
         let mut sizes = vec![0u32; self.hashes.len()];
-        for &group in &self.of_keyframes {
+        for &group in &self.keyframe_groups {
             sizes[group as usize] += 1;
         }
         let mut order: Vec<usize> = (0..sizes.len()).collect();
         order.sort_unstable_by_key(|&g| (std::cmp::Reverse(sizes[g]), self.hashes[g], g));
         let mut folds = vec![0; sizes.len()];
-        let mut held = vec![0u32; n_folds as usize];
+        let mut sizes_of_folds = vec![0u32; n_folds as usize];
         for group in order {
-            let fold = (0..n_folds).min_by_key(|&fold| held[fold as usize]).unwrap_or(0);
-            held[fold as usize] += sizes[group];
+            let fold = (0..n_folds).min_by_key(|&fold| sizes_of_folds[fold as usize]).unwrap_or(0);
+            sizes_of_folds[fold as usize] += sizes[group];
             folds[group] = fold;
         }
         folds

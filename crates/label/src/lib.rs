@@ -16,7 +16,7 @@ use dataset::{FULL_RING_DEG, Keyframe, Label, Pair};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-pub use folds::{Dealing, Folds, Grouping, folds};
+pub use folds::{FoldOptions, Folds, Grouping, assign_folds};
 
 use draw::{Draw, keyframe_hash, pair_key};
 
@@ -92,7 +92,7 @@ pub struct Candidates {
     /// Neither near nor far enough, or near with another heading: left out.
     pub ambiguous: u64,
     /// Near, but with less than `min_travel_gap_m` of path between: left out.
-    pub near_in_path: u64,
+    pub short_travel_gap: u64,
     /// Of two sites, which share no map frame: left out.
     pub without_common_frame: u64,
 }
@@ -158,7 +158,7 @@ pub enum LabelError {
 enum Kind {
     Labelled(Label),
     Ambiguous,
-    NearInPath,
+    ShortTravelGap,
     WithoutCommonFrame,
 }
 
@@ -188,7 +188,7 @@ pub fn label(
                         negative.offer(key());
                     }
                     Kind::Ambiguous => counts.ambiguous += 1,
-                    Kind::NearInPath => counts.near_in_path += 1,
+                    Kind::ShortTravelGap => counts.short_travel_gap += 1,
                     Kind::WithoutCommonFrame => counts.without_common_frame += 1,
                 }
             }
@@ -227,7 +227,7 @@ pub fn label(
 pub fn label_of(options: &Options, a: &Keyframe, b: &Keyframe) -> Option<Label> {
     match kind(options, a, b) {
         Kind::Labelled(label) => Some(label),
-        Kind::NearInPath => Some(Label::Positive),
+        Kind::ShortTravelGap => Some(Label::Positive),
         Kind::Ambiguous | Kind::WithoutCommonFrame => None,
     }
 }
@@ -250,7 +250,7 @@ fn kind(options: &Options, a: &Keyframe, b: &Keyframe) -> Kind {
     if !near {
         Kind::Ambiguous
     } else if travel_gap_m(a, b) < options.min_travel_gap_m {
-        Kind::NearInPath
+        Kind::ShortTravelGap
     } else {
         Kind::Labelled(Label::Positive)
     }
@@ -272,7 +272,7 @@ impl Candidates {
             positive: self.positive + other.positive,
             negative: self.negative + other.negative,
             ambiguous: self.ambiguous + other.ambiguous,
-            near_in_path: self.near_in_path + other.near_in_path,
+            short_travel_gap: self.short_travel_gap + other.short_travel_gap,
             without_common_frame: self.without_common_frame + other.without_common_frame,
         }
     }
@@ -288,7 +288,8 @@ fn check_enough(
     if wanted as u64 <= found {
         return Ok(());
     }
-    let Candidates { positive, negative, ambiguous, near_in_path, without_common_frame } = counts;
+    let Candidates { positive, negative, ambiguous, short_travel_gap, without_common_frame } =
+        counts;
     let (class, remedy) = match label {
         Label::Positive => (
             "positive",
@@ -309,7 +310,7 @@ fn check_enough(
         wanted,
         n_keyframes: keyframes.len(),
         counts: format!(
-            "{positive} positive, {negative} negative, {ambiguous} ambiguous, {near_in_path} near in path, {without_common_frame} without a common frame"
+            "{positive} positive, {negative} negative, {ambiguous} ambiguous, {short_travel_gap} too close along the path, {without_common_frame} without a common frame"
         ),
         remedy,
     })

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
 use dataset::{Keyframe, Label, Pair, Pose2, ScanId};
-use label::{Candidates, Dealing, Grouping, LabelError, Options, folds, label};
+use label::{Candidates, FoldOptions, Grouping, LabelError, Options, assign_folds, label};
 
 /// A full ring at (x, y), heading along x, in a log that is its own site; 100 m of path a scan.
 fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
@@ -41,13 +41,14 @@ fn options(positive_radius_m: f64, negative_min_m: f64, pairs_per_class: usize) 
     Options { positive_radius_m, negative_min_m, pairs_per_class, ..Options::default() }
 }
 
-/// Checks the number of positive, negative, ambiguous pairs, of those near in path and of those
+/// Checks the number of positive, negative, ambiguous pairs, of those too close along the path and of those
 /// without a common frame; `options` must ask for no more than there are.
 #[track_caller]
 fn check(options: &Options, keyframes: &[Keyframe], counts: [u64; 5]) -> Vec<Pair> {
-    let [positive, negative, ambiguous, near_in_path, without_common_frame] = counts;
+    let [positive, negative, ambiguous, short_travel_gap, without_common_frame] = counts;
     let (pairs, found) = label(options, 7, keyframes).unwrap();
-    let expected = Candidates { positive, negative, ambiguous, near_in_path, without_common_frame };
+    let expected =
+        Candidates { positive, negative, ambiguous, short_travel_gap, without_common_frame };
     assert_eq!(found, expected);
     let n = keyframes.len() as u64;
     assert_eq!(counts.iter().sum::<u64>(), n * (n - 1) / 2, "every pair is counted once");
@@ -209,7 +210,7 @@ fn too_few_pairs_say_how_many_there_are_and_what_to_change() {
         options(1.5, 50.0, 4),
         &[
             "3 positive pairs among 5 keyframes, `label.pairs_per_class` asks for 4",
-            "3 positive, 6 negative, 1 ambiguous, 0 near in path, 0 without a common frame",
+            "3 positive, 6 negative, 1 ambiguous, 0 too close along the path, 0 without a common frame",
             "raise `label.positive_radius_m`",
             "lower `label.min_travel_gap_m`",
             "set `label.pairs_per_class` to 3 or less",
@@ -324,8 +325,8 @@ fn an_option_out_of_range_is_named() {
     check_refused(Options { pairs_per_class: 0, ..good() }, "pairs_per_class");
 }
 
-fn by(grouping: Grouping, n_folds: u32, seed: u64) -> Dealing {
-    Dealing { grouping, n_folds, place_m: 2.0, seed }
+fn by(grouping: Grouping, n_folds: u32, seed: u64) -> FoldOptions {
+    FoldOptions { grouping, n_folds, place_m: 2.0, seed }
 }
 
 /// The first pairs of a draw: so many positive, so many negative.
@@ -340,15 +341,15 @@ fn each_class_is_dealt_evenly() {
     let keyframes = three_logs();
     for (n_folds, n_positive, n_negative) in [(2, 2, 3), (5, 23, 50), (7, 49, 8), (10, 50, 50)] {
         let pairs = some_pairs(&keyframes, n_positive, n_negative);
-        let dealt = folds(&by(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap();
-        assert!(dealt.folds.iter().all(|[a, b]| a == b), "a pair touches one fold");
-        let dealt: Vec<u32> = dealt.folds.iter().map(|folds| folds[0]).collect();
-        assert_eq!(dealt.len(), pairs.len(), "one fold for every pair");
-        assert!(dealt.iter().all(|&fold| fold < n_folds));
+        let assigned = assign_folds(&by(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap();
+        assert!(assigned.folds.iter().all(|[a, b]| a == b), "a pair touches one fold");
+        let assigned: Vec<u32> = assigned.folds.iter().map(|folds| folds[0]).collect();
+        assert_eq!(assigned.len(), pairs.len(), "one fold for every pair");
+        assert!(assigned.iter().all(|&fold| fold < n_folds));
         for (class, n) in [(Label::Positive, n_positive), (Label::Negative, n_negative)] {
             for fold in 0..n_folds {
                 let here = |(p, f): &(&Pair, &u32)| p.label == class && **f == fold;
-                let size = pairs.iter().zip(&dealt).filter(here).count();
+                let size = pairs.iter().zip(&assigned).filter(here).count();
                 let even = n / n_folds as usize;
                 assert!(size == even || size == even + 1, "{class:?}, fold {fold}: {size} of {n}");
             }
@@ -360,23 +361,23 @@ fn each_class_is_dealt_evenly() {
 fn folds_follow_the_seed_and_the_scans_and_not_the_order_of_pairs() {
     let keyframes = three_logs();
     let pairs = some_pairs(&keyframes, 50, 50);
-    let dealt = |seed, keyframes: &[Keyframe], pairs: &[Pair]| {
-        folds(&by(Grouping::Pair, 10, seed), keyframes, pairs).unwrap().folds
+    let assigned = |seed, keyframes: &[Keyframe], pairs: &[Pair]| {
+        assign_folds(&by(Grouping::Pair, 10, seed), keyframes, pairs).unwrap().folds
     };
-    let expected = dealt(7, &keyframes, &pairs);
-    assert_eq!(dealt(7, &keyframes, &pairs), expected);
-    assert_ne!(dealt(8, &keyframes, &pairs), expected);
+    let expected = assigned(7, &keyframes, &pairs);
+    assert_eq!(assigned(7, &keyframes, &pairs), expected);
+    assert_ne!(assigned(8, &keyframes, &pairs), expected);
 
     // The pairs backwards: each keeps its fold.
     let backwards: Vec<Pair> = pairs.iter().rev().copied().collect();
-    assert!(dealt(7, &keyframes, &backwards).iter().eq(expected.iter().rev()));
+    assert!(assigned(7, &keyframes, &backwards).iter().eq(expected.iter().rev()));
 
     // The keyframes backwards too, which turns every pair round.
     let turned_keyframes: Vec<Keyframe> = keyframes.iter().rev().cloned().collect();
     let last = keyframes.len() - 1;
     let turn = |p: &Pair| Pair { query: last - p.reference, reference: last - p.query, ..*p };
     let turned: Vec<Pair> = pairs.iter().map(turn).collect();
-    assert_eq!(dealt(7, &turned_keyframes, &turned), expected);
+    assert_eq!(assigned(7, &turned_keyframes, &turned), expected);
 }
 
 #[test]
@@ -384,7 +385,7 @@ fn too_few_folds_or_too_few_pairs_for_them_are_refused() {
     let keyframes = three_logs();
     let message = |n_folds, n_positive, n_negative| {
         let pairs = some_pairs(&keyframes, n_positive, n_negative);
-        folds(&by(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap_err()
+        assign_folds(&by(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap_err()
     };
     for n_folds in [0, 1] {
         let refused = message(n_folds, 20, 20).to_string();
@@ -408,11 +409,11 @@ fn nothing_that_is_kept_together_is_in_two_folds() {
     for (grouping, n_folds, n_groups) in
         [(Grouping::Scan, 10, 75), (Grouping::Place, 10, 21), (Grouping::Log, 3, 3)]
     {
-        let dealt = folds(&by(grouping, 10, 7), &keyframes, &pairs).unwrap();
-        assert_eq!(dealt.n_folds, n_folds, "logs are but three: a fold for each");
-        assert_eq!(dealt.of_keyframes.len(), keyframes.len());
+        let assigned = assign_folds(&by(grouping, 10, 7), &keyframes, &pairs).unwrap();
+        assert_eq!(assigned.n_folds, n_folds, "logs are but three: a fold for each");
+        assert_eq!(assigned.keyframe_folds.len(), keyframes.len());
         let mut fold_of = BTreeMap::new();
-        for (keyframe, &fold) in keyframes.iter().zip(&dealt.of_keyframes) {
+        for (keyframe, &fold) in keyframes.iter().zip(&assigned.keyframe_folds) {
             let cell = |metres: f64| (metres / 2.0).floor().to_string();
             let name = match grouping {
                 Grouping::Log => keyframe.id.log.to_string(),
@@ -425,19 +426,19 @@ fn nothing_that_is_kept_together_is_in_two_folds() {
         // blocks of log a and b: 4 x 3; of c: 3 x 3.
         assert_eq!(fold_of.len(), n_groups, "{grouping:?}");
         for fold in 0..n_folds {
-            let held = dealt.of_keyframes.iter().filter(|&&f| f == fold).count();
+            let held = assigned.keyframe_folds.iter().filter(|&&f| f == fold).count();
             assert!(0 < held && held < 75 / 2, "{grouping:?}: {held} keyframes in fold {fold}");
         }
-        for ((pair, folds), groups) in pairs.iter().zip(&dealt.folds).zip(&dealt.groups) {
-            let of = |k: usize| dealt.of_keyframes[k];
+        for ((pair, folds), groups) in pairs.iter().zip(&assigned.folds).zip(&assigned.groups) {
+            let of = |k: usize| assigned.keyframe_folds[k];
             assert_eq!(*folds, [of(pair.query), of(pair.reference)]);
             if folds[0] != folds[1] {
                 assert_ne!(groups[0], groups[1], "a group lies in one fold");
             }
         }
-        assert_eq!(folds(&by(grouping, 10, 7), &keyframes, &pairs).unwrap(), dealt);
+        assert_eq!(assign_folds(&by(grouping, 10, 7), &keyframes, &pairs).unwrap(), assigned);
         if grouping != Grouping::Log {
-            assert_ne!(folds(&by(grouping, 10, 8), &keyframes, &pairs).unwrap(), dealt);
+            assert_ne!(assign_folds(&by(grouping, 10, 8), &keyframes, &pairs).unwrap(), assigned);
         }
     }
 }
@@ -445,10 +446,11 @@ fn nothing_that_is_kept_together_is_in_two_folds() {
 #[test]
 fn one_log_cannot_be_held_out() {
     let keyframes = line(&[0.0, 1.0, 60.0, 61.0]);
-    let error = folds(&by(Grouping::Log, 10, 7), &keyframes, &[]).unwrap_err();
+    let error = assign_folds(&by(Grouping::Log, 10, 7), &keyframes, &[]).unwrap_err();
     let expected = LabelError::TooFewGroups { grouping: "log", groups: "logs", found: 1 };
     assert_eq!(error, expected);
     assert!(error.to_string().contains("leave `log` out of `evaluate.groupings`"), "{error}");
-    let error = folds(&Dealing { place_m: 0.0, ..by(Grouping::Place, 2, 7) }, &keyframes, &[]);
+    let error =
+        assign_folds(&FoldOptions { place_m: 0.0, ..by(Grouping::Place, 2, 7) }, &keyframes, &[]);
     assert!(error.unwrap_err().to_string().contains("`evaluate.place_m` is 0"));
 }

@@ -17,11 +17,11 @@ fn label(run: &Run, provenance: &Provenance) -> Result<Done> {
     write_pairs(&path, provenance, &keyframes, &pairs)?;
     let n = run.config.label.pairs_per_class;
     let said = format!(
-        "{n} of {} positive and {n} of {} negative pairs; left out: {} ambiguous, {} near in path, {} without a common frame",
+        "{n} of {} positive and {n} of {} negative pairs; left out: {} ambiguous, {} too close along the path, {} without a common frame",
         candidates.positive,
         candidates.negative,
         candidates.ambiguous,
-        candidates.near_in_path,
+        candidates.short_travel_gap,
         candidates.without_common_frame
     );
     // What the labels leave out is no loss: it is what the options ask for.

@@ -10,7 +10,7 @@ use dataset::tables::{
 use dataset::{BoostingRound, Dropped, FULL_RING_DEG, Keyframe, Label, LeftOut, Pair, Scores};
 use evaluate::{Confusion, operating_points};
 use ingest::LidarOptions;
-use label::{Dealing, Folds, Grouping};
+use label::{FoldOptions, Folds, Grouping};
 use model::{FeatureSpec, Measured, Model, OperatingPoint, ScanSpec, Training};
 use rayon::prelude::*;
 use train::{FoldFit, Folded, Learner, Matrix, Round};
@@ -62,8 +62,8 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
     let mut left_out = Dropped::default();
     let mut said = Vec::new();
     for &grouping in &options.evaluate.groupings {
-        let dealing = dealing(options.evaluate, grouping, run.config.seed);
-        match hold_out(options, &dealing, &keyframes, &pairs, &data, &mut fitted) {
+        let fold_options = fold_options(options.evaluate, grouping, run.config.seed);
+        match hold_out(options, &fold_options, &keyframes, &pairs, &data, &mut fitted) {
             Ok(folds) => groupings.push((grouping, folds)),
             Err(error) if options.evaluate.require_groupings => return Err(error),
             Err(error) => {
@@ -125,9 +125,9 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
     Ok(done)
 }
 
-/// How pairs are dealt to folds.
-fn dealing(evaluate: &EvaluateSection, grouping: Grouping, seed: u64) -> Dealing {
-    Dealing { grouping, n_folds: evaluate.folds, place_m: evaluate.place_m, seed }
+/// How pairs are assigned to folds.
+fn fold_options(evaluate: &EvaluateSection, grouping: Grouping, seed: u64) -> FoldOptions {
+    FoldOptions { grouping, n_folds: evaluate.folds, place_m: evaluate.place_m, seed }
 }
 
 /// One learner, fitted on all pairs and on the folds of each grouping.
@@ -150,14 +150,14 @@ fn fit(options: &Options<'_>, learner: Learner, data: &Matrix) -> Result<Fitted>
 /// Cross-validates all learners on the folds of one grouping.
 fn hold_out(
     options: &Options<'_>,
-    dealing: &Dealing,
+    fold_options: &FoldOptions,
     keyframes: &[Keyframe],
     pairs: &[Pair],
     data: &Matrix,
     fitted: &mut [Fitted],
 ) -> Result<Folds> {
-    let folds = label::folds(dealing, keyframes, pairs)?;
-    let grouping = dealing.grouping;
+    let folds = label::assign_folds(fold_options, keyframes, pairs)?;
+    let grouping = fold_options.grouping;
     let n_rounds = |fitted: &Fitted| options.train.rounds_of(fitted.learner);
     let folded = folded(data, &folds);
     let validated = fitted

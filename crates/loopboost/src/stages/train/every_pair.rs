@@ -160,7 +160,7 @@ fn confidences(
                     if (query.travel_m - reference.travel_m).abs() < recent_m {
                         continue;
                     }
-                    let of = |k: usize| folds.of_keyframes[k];
+                    let of = |k: usize| folds.keyframe_folds[k];
                     featurize::difference(
                         features.row(log[place]),
                         features.row(other),

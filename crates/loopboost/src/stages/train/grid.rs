@@ -8,7 +8,7 @@ use label::LabelError;
 use rayon::prelude::*;
 use train::FoldError;
 
-use super::{Options, dealing, folded, matrix};
+use super::{Options, fold_options, folded, matrix};
 
 /// The cells of `[evaluate.grid]`; a cell with too few candidates says so.
 pub(super) fn grid(
@@ -52,8 +52,8 @@ fn errors(
         }
         Err(error) => return Err(error.into()),
     };
-    let dealing = dealing(options.evaluate, grid.grouping, seed);
-    let folds = match label::folds(&dealing, keyframes, &pairs) {
+    let fold_options = fold_options(options.evaluate, grid.grouping, seed);
+    let folds = match label::assign_folds(&fold_options, keyframes, &pairs) {
         Ok(folds) => folds,
         Err(LabelError::TooFewGroups { groups, found, .. }) => {
             return none(format!("{found} {groups}"));
