@@ -1,13 +1,13 @@
-//! A uniform sample without replacement, as a bottom-k sketch.
+//! Uniform sampling without replacement with a bottom-k sketch.
 
 use std::collections::BinaryHeap;
 
 use dataset::Keyframe;
 
-/// A pseudo-random key and the pair it stands for; ties in the key are ordered by the pair.
+/// A pseudo-random key, then the pair it belongs to. Equal keys are ordered by the pair.
 type Keyed = (u64, usize, usize);
 
-/// The `k` smallest keys offered so far. Which these are does not depend on the order of offers.
+/// The `k` smallest keys offered so far. The result does not depend on the order of the offers.
 pub(crate) struct Draw {
     k: usize,
     smallest: BinaryHeap<Keyed>,
@@ -41,7 +41,8 @@ impl Draw {
     }
 }
 
-/// A keyframe's share of the keys of its pairs: from the seed and the scan's name alone.
+/// A keyframe's contribution to the keys of its pairs. It depends only on the seed and on the
+/// scan's log and number.
 pub(crate) fn keyframe_hash(seed: u64, keyframe: &Keyframe) -> u64 {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&seed.to_le_bytes());
@@ -51,7 +52,7 @@ pub(crate) fn keyframe_hash(seed: u64, keyframe: &Keyframe) -> u64 {
     u64::from_le_bytes([a, b, c, d, e, f, g, h])
 }
 
-/// A pseudo-random number from the seed and the parts of a name.
+/// A pseudo-random number that depends only on the seed and the parts of a name.
 pub(crate) fn name_hash(seed: u64, parts: &[&[u8]]) -> u64 {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&seed.to_le_bytes());
@@ -63,8 +64,9 @@ pub(crate) fn name_hash(seed: u64, parts: &[&[u8]]) -> u64 {
     u64::from_le_bytes([a, b, c, d, e, f, g, h])
 }
 
-/// The key of a pair, the same in both orders: the finaliser of SplitMix64 (Steele, Lea and
-/// Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014) over both hashes.
+/// The key of a pair; exchanging `a` and `b` gives the same key. It is the finaliser of SplitMix64
+/// (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014), applied
+/// to the sum of both hashes.
 #[inline]
 pub(crate) fn pair_key(a: u64, b: u64) -> u64 {
     let mut z = a.wrapping_add(b).wrapping_add(0x9E37_79B9_7F4A_7C15);

@@ -1,8 +1,9 @@
-//! Pairs -> folds for cross-validation.
+//! Assigns pairs to folds for cross-validation.
 //!
-//! One scheme for all groupings: each keyframe belongs to a group, groups are dealt to folds, and a
-//! pair touches the folds of its two keyframes. It is scored by a classifier that was trained on
-//! the pairs that touch neither. For the grouping `pair` the pair itself is what is dealt.
+//! All groupings follow one scheme. Each keyframe belongs to a group, each group is assigned to a
+//! fold, and a pair touches the folds of its two keyframes. The pair is scored by a classifier
+//! trained on the pairs that touch neither of these folds. The grouping `pair` is the exception: it
+//! assigns the pairs themselves.
 
 use std::collections::BTreeMap;
 
@@ -12,16 +13,16 @@ use serde::{Deserialize, Serialize};
 use crate::LabelError;
 use crate::draw::{keyframe_hash, name_hash, pair_key};
 
-/// What may not stand on both sides of a fold.
+/// What is kept in one fold and never split between training and test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Grouping {
-    /// A pair (the paper's protocol): pairs are dealt to the folds at random, each class evenly.
+    /// A pair (the paper's protocol): pairs are assigned to folds at random, each class evenly.
     Pair,
     /// A scan.
     Scan,
-    /// A block of ground: a square of a site's map, `evaluate.place_m` wide.
+    /// A block of ground: a square in the map of a site, `evaluate.place_m` wide.
     Place,
     /// A log.
     Log,
@@ -38,7 +39,7 @@ impl Grouping {
         }
     }
 
-    /// What its groups are called.
+    /// The plural, for messages.
     fn groups(self) -> &'static str {
         match self {
             Self::Pair => "pairs",
@@ -49,36 +50,41 @@ impl Grouping {
     }
 }
 
-/// How pairs are dealt to folds.
+/// How pairs are assigned to folds.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FoldOptions {
-    /// What may not stand on both sides.
+    /// What is kept in one fold.
     pub grouping: Grouping,
-    /// Folds at most; fewer groups give a fold each.
+    /// Largest number of folds. With fewer groups than this, each group is a fold.
     pub n_folds: u32,
-    /// Width of a place \[m\].
+    /// Width of a block of ground \[m\].
     pub place_m: f64,
     /// The run's seed.
     pub seed: u64,
 }
 
-/// Pairs dealt to folds.
+/// The folds of pairs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Folds {
     /// Number of folds.
     pub n_folds: u32,
-    /// Group of each pair's query and of its reference, `(n_pairs, 2)`.
+    /// Groups of each pair's query and reference, `(n_pairs, 2)`.
     pub groups: Vec<[u32; 2]>,
-    /// Fold of each pair's query and of its reference, `(n_pairs, 2)`.
+    /// Folds of each pair's query and reference, `(n_pairs, 2)`.
     pub folds: Vec<[u32; 2]>,
-    /// Fold of each keyframe, `(n_keyframes,)`; empty where pairs were dealt.
+    /// Fold of each keyframe, `(n_keyframes,)`; empty for the grouping `pair`.
     pub keyframe_folds: Vec<u32>,
-    /// A pseudo-random number for each pair, from the seed and its scans' names, `(n_pairs,)`: a
-    /// surplus of one class in a training set is the pairs of the largest keys.
+    /// A pseudo-random number for each pair, `(n_pairs,)`. It depends only on the seed and the
+    /// pair's two scans. A training set with too many pairs of one class drops the pairs with the
+    /// largest keys.
     pub keys: Vec<u64>,
 }
 
-/// Deals pairs to folds by the seed.
+/// Assigns pairs to folds. The result depends only on the options (which contain the seed) and on
+/// the keyframes and pairs, not on their order.
+///
+/// Fails when an option is out of range, when there are fewer than 2 groups, or, for the grouping
+/// `pair`, when a class has fewer pairs than there are folds.
 pub fn assign_folds(
     options: &FoldOptions,
     keyframes: &[Keyframe],
@@ -92,7 +98,7 @@ pub fn assign_folds(
     if !(place_m.is_finite() && 0.0 < place_m) {
         return refuse("evaluate.place_m", place_m, "more than 0");
     }
-    // Another stream than the one that drew the pairs: these have small keys by construction.
+    // Use other keys than the draw of the pairs did: it kept the pairs with the smallest keys.
     let seed = seed ^ 0xF01D_5EED;
     let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
     let keys: Vec<u64> =
@@ -125,9 +131,9 @@ pub fn assign_folds(
         });
     }
     let n_folds = n_folds.min(n_groups as u32);
-    let of_groups = groups.assign(n_folds);
+    let group_folds = groups.assign(n_folds);
     let keyframe_folds: Vec<u32> =
-        groups.keyframe_groups.iter().map(|&group| of_groups[group as usize]).collect();
+        groups.keyframe_groups.iter().map(|&group| group_folds[group as usize]).collect();
     let ends = |of: &[u32]| pairs.iter().map(|p| [of[p.query], of[p.reference]]).collect();
     Ok(Folds {
         n_folds,
@@ -138,8 +144,8 @@ pub fn assign_folds(
     })
 }
 
-/// The pairs of each class are shuffled by their keys and dealt in turn, so that the folds' sizes
-/// differ by at most one pair of each class.
+/// Shuffles the pairs of each class by their keys and assigns them to the folds in turn. Within a
+/// class, the sizes of two folds differ by at most one pair.
 fn assign_pairs(n_folds: u32, keys: &[u64], pairs: &[Pair]) -> Result<Vec<[u32; 2]>, LabelError> {
     let mut folds = vec![[0; 2]; pairs.len()];
     for (label, class) in [(Label::Positive, "positive"), (Label::Negative, "negative")] {
@@ -155,14 +161,14 @@ fn assign_pairs(n_folds: u32, keys: &[u64], pairs: &[Pair]) -> Result<Vec<[u32; 
             });
         }
         shuffled.sort_unstable();
-        for (place, (_, row)) in (0..n_folds).cycle().zip(shuffled) {
-            folds[row] = [place; 2];
+        for (fold, (_, row)) in (0..n_folds).cycle().zip(shuffled) {
+            folds[row] = [fold; 2];
         }
     }
     Ok(folds)
 }
 
-/// Which group each keyframe is of.
+/// The group of each keyframe.
 struct Groups {
     /// `(n_keyframes,)`
     keyframe_groups: Vec<u32>,
@@ -171,15 +177,15 @@ struct Groups {
 }
 
 impl Groups {
-    /// Groups by name, numbered in order of their names.
+    /// Groups the keyframes by a name. Groups are numbered in the order of their names.
     fn by<'a, N: Ord>(
         keyframes: &'a [Keyframe],
         name: impl Fn(&'a Keyframe) -> N,
         hash: impl Fn(&N) -> u64,
     ) -> Self {
         let mut numbers: BTreeMap<N, u32> = keyframes.iter().map(|k| (name(k), 0)).collect();
-        for (number, place) in (0..).zip(numbers.values_mut()) {
-            *place = number;
+        for (number, entry) in (0..).zip(numbers.values_mut()) {
+            *entry = number;
         }
         Self {
             keyframe_groups: keyframes.iter().map(|k| numbers[&name(k)]).collect(),
@@ -187,21 +193,21 @@ impl Groups {
         }
     }
 
-    /// The fold of each group: the largest group first, each to the fold that holds the fewest
-    /// keyframes so far (Graham 1969, "Bounds on multiprocessing timing anomalies"); groups of one
-    /// size in the seed's order.
+    /// The fold of each group. The largest group comes first, and each group goes to the fold with
+    /// the fewest keyframes so far (Graham 1969, "Bounds on multiprocessing timing anomalies").
+    /// Groups of equal size are ordered by their hashes, which depend on the seed.
     fn assign(&self, n_folds: u32) -> Vec<u32> {
-        let mut sizes = vec![0u32; self.hashes.len()];
+        let mut group_sizes = vec![0u32; self.hashes.len()];
         for &group in &self.keyframe_groups {
-            sizes[group as usize] += 1;
+            group_sizes[group as usize] += 1;
         }
-        let mut order: Vec<usize> = (0..sizes.len()).collect();
-        order.sort_unstable_by_key(|&g| (std::cmp::Reverse(sizes[g]), self.hashes[g], g));
-        let mut folds = vec![0; sizes.len()];
-        let mut sizes_of_folds = vec![0u32; n_folds as usize];
+        let mut order: Vec<usize> = (0..group_sizes.len()).collect();
+        order.sort_unstable_by_key(|&g| (std::cmp::Reverse(group_sizes[g]), self.hashes[g], g));
+        let mut folds = vec![0; group_sizes.len()];
+        let mut fold_sizes = vec![0u32; n_folds as usize];
         for group in order {
-            let fold = (0..n_folds).min_by_key(|&fold| sizes_of_folds[fold as usize]).unwrap_or(0);
-            sizes_of_folds[fold as usize] += sizes[group];
+            let fold = (0..n_folds).min_by_key(|&fold| fold_sizes[fold as usize]).unwrap_or(0);
+            fold_sizes[fold as usize] += group_sizes[group];
             folds[group] = fold;
         }
         folds

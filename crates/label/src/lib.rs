@@ -1,11 +1,38 @@
-//! `label`: keyframes -> labelled pairs ([`label`]) and folds ([`folds`]).
+//! `label`: keyframes -> labelled pairs ([`label`]) and folds for cross-validation
+//! ([`assign_folds`]).
 //!
-//! Every pair of keyframes that share a map frame is looked at once: N (N - 1) / 2 distances. Each
-//! is positive, negative or ambiguous, and of each class a uniform sample without replacement is
-//! drawn as a bottom-k sketch: every pair gets a pseudo-random key from the seed and the names of
-//! its two scans, and the pairs with the smallest keys are drawn (Cohen and Kaplan, "Summarizing
-//! data using bottom-k sketches", PODC 2007). The draw therefore depends neither on the order of
-//! the logs nor on the number of threads, and a log added changes it little.
+//! [`label`] visits each of the N (N - 1) / 2 pairs of keyframes once and decides whether it is
+//! positive, negative or ambiguous. From each class it draws a uniform sample without replacement.
+//! The sample is a bottom-k sketch (Cohen and Kaplan, "Summarizing data using bottom-k sketches",
+//! PODC 2007): every pair gets a pseudo-random key from the seed and its two scans, and the pairs
+//! with the smallest keys are drawn. The draw depends neither on the order of the logs nor on the
+//! number of threads. Adding a log changes few of the drawn pairs.
+//!
+//! ```
+//! use dataset::{Keyframe, Label, Pose2, ScanId};
+//!
+//! // Three scans of one log: two at the start, 1 m apart, and one 60 m away.
+//! let keyframes: Vec<Keyframe> = [0.0, 1.0, 60.0]
+//!     .into_iter()
+//!     .zip(0..)
+//!     .map(|(x_m, scan)| Keyframe {
+//!         id: ScanId { log: "drive".into(), scan },
+//!         site: "campus".into(),
+//!         stamp_ns: i64::from(scan) * 1_000_000_000,
+//!         pose: Pose2 { x_m, y_m: 0.0, heading_rad: 0.0 },
+//!         covariance: None,
+//!         travel_m: x_m,
+//!         coverage_deg: 360.0,
+//!     })
+//!     .collect();
+//!
+//! let options = label::Options { pairs_per_class: 1, ..label::Options::default() };
+//! let (pairs, candidates) = label::label(&options, 2436, &keyframes)?;
+//! assert_eq!((candidates.positive, candidates.negative), (1, 2));
+//! let positive = pairs.iter().find(|pair| pair.label == Label::Positive).unwrap();
+//! assert_eq!((positive.query, positive.reference, positive.distance_m), (1, 0, 1.0));
+//! # Ok::<(), label::LabelError>(())
+//! ```
 
 mod draw;
 mod folds;
@@ -25,19 +52,19 @@ use draw::{Draw, keyframe_hash, pair_key};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "LabelOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// A pair within this distance is positive \[m\].
+    /// A pair at most this far apart is positive \[m\].
     pub positive_radius_m: f64,
-    /// For scans that see less than a full circle: a positive pair's headings differ by no more
-    /// than this \[deg\].
+    /// Largest difference between the headings of a positive pair \[deg\]. Only used for scans
+    /// that see less than a full circle.
     pub positive_heading_deg: f64,
-    /// A pair farther apart than this is negative \[m\].
+    /// A pair more than this far apart is negative \[m\].
     pub negative_min_m: f64,
-    /// A positive pair of one log has at least this much path between its scans \[m\]; 0 takes
-    /// neighbours along the path too, as the paper does.
+    /// Least path length between the two scans of a positive pair from one log \[m\]. With 0,
+    /// neighbours along the path are positive too, as in the paper.
     pub min_travel_gap_m: f64,
-    /// Pairs drawn of each class; 1218 in the paper.
+    /// Number of pairs to draw from each class. The paper uses 1218.
     pub pairs_per_class: usize,
-    /// Take pairs of two sites, which share no map frame, as negatives.
+    /// Treat pairs from two different sites as negative. Sites do not share a map frame.
     pub cross_site_negatives: bool,
 }
 
@@ -55,24 +82,24 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Refuses values out of range.
+    /// Checks that every value is in range.
     pub fn check(&self) -> Result<(), LabelError> {
         let fail = |key, found, expected| Err(LabelError::Option { key, found, expected });
-        let good = |value: f64| value.is_finite() && 0.0 <= value;
-        if !good(self.positive_radius_m) {
+        let is_valid = |value: f64| value.is_finite() && 0.0 <= value;
+        if !is_valid(self.positive_radius_m) {
             return fail("label.positive_radius_m", self.positive_radius_m, "0 or more");
         }
-        if !good(self.positive_heading_deg) || 180.0 < self.positive_heading_deg {
+        if !is_valid(self.positive_heading_deg) || 180.0 < self.positive_heading_deg {
             return fail("label.positive_heading_deg", self.positive_heading_deg, "0 to 180");
         }
-        if !good(self.negative_min_m) || self.negative_min_m < self.positive_radius_m {
+        if !is_valid(self.negative_min_m) || self.negative_min_m < self.positive_radius_m {
             return fail(
                 "label.negative_min_m",
                 self.negative_min_m,
                 "`label.positive_radius_m` or more",
             );
         }
-        if !good(self.min_travel_gap_m) {
+        if !is_valid(self.min_travel_gap_m) {
             return fail("label.min_travel_gap_m", self.min_travel_gap_m, "0 or more");
         }
         if self.pairs_per_class == 0 {
@@ -82,40 +109,40 @@ impl Options {
     }
 }
 
-/// How many pairs of keyframes there are of each kind.
+/// Number of pairs of keyframes of each kind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Candidates {
-    /// Within `positive_radius_m`, with the heading and the path that the options ask for.
+    /// Within `positive_radius_m`, and within the limits on heading and path length.
     pub positive: u64,
-    /// Beyond `negative_min_m`, or of two sites where the options take these.
+    /// More than `negative_min_m` apart, or from two sites if `cross_site_negatives` is set.
     pub negative: u64,
-    /// Neither near nor far enough, or near with another heading: left out.
+    /// Neither positive nor negative, by distance or heading; left out.
     pub ambiguous: u64,
-    /// Near, but with less than `min_travel_gap_m` of path between: left out.
+    /// Close enough, but with less than `min_travel_gap_m` of path in between; left out.
     pub short_travel_gap: u64,
-    /// Of two sites, which share no map frame: left out.
+    /// From two sites, which do not share a map frame; left out.
     pub without_common_frame: u64,
 }
 
-/// Why there are no pairs.
+/// Why pairs could not be drawn or assigned to folds.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum LabelError {
-    /// Fewer candidates of a class than asked for.
+    /// A class has fewer candidates than requested.
     #[error(
-        "{found} {class} pairs among {n_keyframes} keyframes, `label.pairs_per_class` asks for {wanted} ({counts}); {remedy}"
+        "found {found} {class} pairs among {n_keyframes} keyframes, but `label.pairs_per_class` asks for {wanted} ({counts}); {remedy}"
     )]
     TooFew {
         /// `positive` or `negative`.
         class: &'static str,
-        /// Candidates there are.
+        /// Number of candidates of this class.
         found: u64,
-        /// Pairs asked for.
+        /// Number of pairs requested.
         wanted: usize,
-        /// Keyframes there are.
+        /// Number of keyframes.
         n_keyframes: usize,
-        /// The other kinds.
+        /// Number of pairs of each kind, as text.
         counts: String,
-        /// What else could be changed.
+        /// What the user can change.
         remedy: String,
     },
     /// An option out of range.
@@ -128,33 +155,33 @@ pub enum LabelError {
         /// What it must be.
         expected: &'static str,
     },
-    /// A grouping that leaves nothing to hold out.
+    /// There are too few groups to hold one out.
     #[error(
         "grouping `{grouping}` needs 2 {groups} or more, found {found}; add logs, or leave `{grouping}` out of `evaluate.groupings`"
     )]
     TooFewGroups {
         /// The grouping.
         grouping: &'static str,
-        /// What its groups are called.
+        /// The plural, for the message.
         groups: &'static str,
-        /// Groups there are.
+        /// Number of groups.
         found: usize,
     },
-    /// More folds than pairs of a class.
+    /// A class has fewer pairs than there are folds.
     #[error(
-        "{folds} folds need at least {folds} pairs of each class, there are {found} {class} ones; lower `evaluate.folds` or raise `label.pairs_per_class`"
+        "{folds} folds need at least {folds} pairs of each class, found {found} {class} pairs; lower `evaluate.folds` or raise `label.pairs_per_class`"
     )]
     TooFewForFolds {
-        /// Folds asked for.
+        /// Number of folds requested.
         folds: u32,
         /// `positive` or `negative`.
         class: &'static str,
-        /// Pairs there are.
+        /// Number of pairs of this class.
         found: usize,
     },
 }
 
-/// What a pair of keyframes is.
+/// The outcome of the label rules for a pair of keyframes.
 enum Kind {
     Labelled(Label),
     Ambiguous,
@@ -162,7 +189,10 @@ enum Kind {
     WithoutCommonFrame,
 }
 
-/// Draws `pairs_per_class` positive and as many negative pairs, in order of the keyframes.
+/// Draws `pairs_per_class` positive and the same number of negative pairs, sorted by query and
+/// reference. Also counts the candidates.
+///
+/// Fails when an option is out of range or a class has too few candidates.
 pub fn label(
     options: &Options,
     seed: u64,
@@ -222,8 +252,8 @@ pub fn label(
     Ok((pairs, candidates))
 }
 
-/// The label of two keyframes of one log by the label rules; none where they are neither near nor
-/// far enough. How far apart they are along the path is left to the caller.
+/// The label of a pair of keyframes by the rules in `options`, without the limit on the path
+/// length; the caller decides about that. `None` if the pair is ambiguous or has no common frame.
 pub fn label_of(options: &Options, a: &Keyframe, b: &Keyframe) -> Option<Label> {
     match kind(options, a, b) {
         Kind::Labelled(label) => Some(label),
@@ -256,12 +286,12 @@ fn kind(options: &Options, a: &Keyframe, b: &Keyframe) -> Kind {
     }
 }
 
-/// Path between two keyframes \[m\]; no path joins two logs.
+/// Path length between two keyframes \[m\]; infinite for keyframes of two logs.
 fn travel_gap_m(a: &Keyframe, b: &Keyframe) -> f64 {
     if same_name(&a.id.log, &b.id.log) { (a.travel_m - b.travel_m).abs() } else { f64::INFINITY }
 }
 
-/// Equality of shared names, the pointers first.
+/// Compares two shared names; equal pointers save comparing the text.
 fn same_name(a: &Arc<str>, b: &Arc<str>) -> bool {
     Arc::ptr_eq(a, b) || a == b
 }

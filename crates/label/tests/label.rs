@@ -1,4 +1,4 @@
-//! Keyframes to pairs with counts worked out by hand; the draw and the folds.
+//! Labels with counts worked out by hand, the draw of pairs, and the folds.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
@@ -6,7 +6,8 @@ use std::f64::consts::PI;
 use dataset::{Keyframe, Label, Pair, Pose2, ScanId};
 use label::{Candidates, FoldOptions, Grouping, LabelError, Options, assign_folds, label};
 
-/// A full ring at (x, y), heading along x, in a log that is its own site; 100 m of path a scan.
+/// A full-circle scan at (x, y), heading along x. The log is its own site. The path is 100 m per
+/// scan.
 fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
     Keyframe {
         id: ScanId { log: log.into(), scan },
@@ -19,13 +20,14 @@ fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
     }
 }
 
-/// Rings of one log along x.
+/// Full-circle scans of one log along x.
 fn line(xs_m: &[f64]) -> Vec<Keyframe> {
     xs_m.iter().zip(0..).map(|(&x_m, scan)| at("a", scan, x_m, 0.0)).collect()
 }
 
-/// Three logs of one site, 5 by 5 positions 1 m apart each; the first two overlap, the third is
-/// farther on. Hundreds of pairs are within 1.5 m or beyond 5 m, in one log and across logs.
+/// Three logs of one site, each with 5 by 5 positions 1 m apart. The first two logs overlap, the
+/// third is farther away. Hundreds of pairs are within 1.5 m or more than 5 m apart, within a log and
+/// across logs.
 fn three_logs() -> Vec<Keyframe> {
     let mut keyframes = Vec::new();
     for (log, x_m) in [("a", 0.0), ("b", 2.5), ("c", 20.0)] {
@@ -41,8 +43,8 @@ fn options(positive_radius_m: f64, negative_min_m: f64, pairs_per_class: usize) 
     Options { positive_radius_m, negative_min_m, pairs_per_class, ..Options::default() }
 }
 
-/// Checks the number of positive, negative, ambiguous pairs, of those too close along the path and of those
-/// without a common frame; `options` must ask for no more than there are.
+/// Checks the number of pairs that are positive, negative, ambiguous, too close along the path, and
+/// without a common frame. `options` must not ask for more pairs than there are.
 #[track_caller]
 fn check(options: &Options, keyframes: &[Keyframe], counts: [u64; 5]) -> Vec<Pair> {
     let [positive, negative, ambiguous, short_travel_gap, without_common_frame] = counts;
@@ -51,19 +53,19 @@ fn check(options: &Options, keyframes: &[Keyframe], counts: [u64; 5]) -> Vec<Pai
         Candidates { positive, negative, ambiguous, short_travel_gap, without_common_frame };
     assert_eq!(found, expected);
     let n = keyframes.len() as u64;
-    assert_eq!(counts.iter().sum::<u64>(), n * (n - 1) / 2, "every pair is counted once");
+    assert_eq!(counts.iter().sum::<u64>(), n * (n - 1) / 2, "each pair is counted once");
     pairs
 }
 
-/// The pairs as labelled sets of two scans, whatever their order.
+/// The pairs as labelled sets of two scans, without their order.
 fn names(keyframes: &[Keyframe], pairs: &[Pair]) -> BTreeSet<(BTreeSet<ScanId>, Label)> {
     let id = |k: usize| keyframes[k].id.clone();
     pairs.iter().map(|p| ([id(p.query), id(p.reference)].into(), p.label)).collect()
 }
 
 #[test]
-fn pairs_on_a_line_are_near_far_or_between() {
-    // Near: 0-1 and 60-61 at 1 m, 1-2.5 at exactly 1.5 m. Between: 0-2.5. Far: 3 times 2.
+fn pairs_on_a_line_are_positive_negative_or_ambiguous() {
+    // Positive: 0-1 and 60-61 at 1 m, 1-2.5 at exactly 1.5 m. Ambiguous: 0-2.5. Negative: 3 x 2.
     let keyframes = line(&[0.0, 1.0, 2.5, 60.0, 61.0]);
     let pairs = check(&options(1.5, 50.0, 3), &keyframes, [3, 6, 1, 0, 0]);
     let near: Vec<_> = pairs
@@ -76,7 +78,7 @@ fn pairs_on_a_line_are_near_far_or_between() {
 }
 
 #[test]
-fn pairs_on_a_grid_are_counted_at_both_limits() {
+fn pairs_on_a_grid_are_counted_on_both_sides_of_each_limit() {
     // 3 by 3 positions 1 m apart: 12 pairs at 1 m, 8 at sqrt 2, 6 at 2 m, 8 at sqrt 5, 2 at sqrt 8.
     let grid: Vec<Keyframe> =
         (0..9).map(|k| at("a", k, f64::from(k % 3), f64::from(k / 3))).collect();
@@ -87,7 +89,7 @@ fn pairs_on_a_grid_are_counted_at_both_limits() {
 }
 
 #[test]
-fn the_radius_is_near_and_the_least_negative_distance_is_not_yet_far() {
+fn the_positive_radius_is_inclusive_and_the_negative_limit_is_exclusive() {
     let far = 50f64.next_up();
     check(&options(1.5, 50.0, 1), &line(&[0.0, 1.5, far]), [1, 1, 1, 0, 0]);
     check(&options(1.5, 50.0, 1), &line(&[0.0, 50.0, far]), [1, 1, 1, 0, 0]);
@@ -100,7 +102,7 @@ fn the_radius_is_near_and_the_least_negative_distance_is_not_yet_far() {
 
 #[test]
 fn headings_count_only_for_scans_of_less_than_a_full_circle() {
-    // Headings of three scans at one place, 45, 46 and 91 deg apart; a fourth scan is far.
+    // Three scans at one place with headings 45, 46 and 91 deg apart; a fourth scan is far away.
     let scans = |coverages_deg: [f32; 3]| {
         let mut keyframes = line(&[0.0, 0.0, 0.0, 60.0]);
         for (k, heading_deg) in [0.0, 45.0f64, -46.0].into_iter().enumerate() {
@@ -115,12 +117,12 @@ fn headings_count_only_for_scans_of_less_than_a_full_circle() {
     check(&within(180.0), &scans([270.0; 3]), [3, 3, 0, 0, 0]);
     check(&within(45.0), &scans([355.0; 3]), [3, 3, 0, 0, 0]);
     check(&within(45.0), &scans([354.9; 3]), [1, 3, 2, 0, 0]);
-    // One of the two scans is enough: only the pair of rings, 0 and -46 deg, gains.
+    // Both scans must see the full circle: only the pair with headings 0 and -46 deg does.
     check(&within(45.0), &scans([360.0, 270.0, 360.0]), [2, 3, 1, 0, 0]);
 }
 
 #[test]
-fn headings_wrap_at_a_full_turn() {
+fn heading_differences_wrap_at_360_degrees() {
     let mut keyframes = line(&[0.0, 0.0, 60.0]);
     for (keyframe, heading_deg) in keyframes.iter_mut().zip([350.0f64, 10.0, 0.0]) {
         keyframe.pose.heading_rad = heading_deg.to_radians();
@@ -133,8 +135,8 @@ fn headings_wrap_at_a_full_turn() {
 }
 
 #[test]
-fn a_travel_gap_is_asked_of_one_log_and_never_across_logs() {
-    // Out 1 m and 60 m, then back at the start after 120 m of path.
+fn the_travel_gap_applies_within_a_log_and_not_across_logs() {
+    // Drives to 1 m and 60 m, then is back at the start after 120 m of path.
     let mut keyframes = line(&[0.0, 1.0, 60.0, 0.0]);
     for (keyframe, travel_m) in keyframes.iter_mut().zip([0.0, 1.0, 60.0, 120.0]) {
         keyframe.travel_m = travel_m;
@@ -146,7 +148,7 @@ fn a_travel_gap_is_asked_of_one_log_and_never_across_logs() {
     check(&gap(119.0), &keyframes, [2, 3, 0, 1, 0]);
     check(&gap(119.5), &keyframes, [1, 3, 0, 2, 0]);
 
-    // Another log of the site passes the start after no path at all: near to three scans.
+    // Another log of the site begins at the start: it is close to three scans.
     keyframes.push(Keyframe { site: "a".into(), ..at("b", 0, 0.0, 0.0) });
     let pairs = check(&Options { pairs_per_class: 4, ..gap(119.5) }, &keyframes, [4, 4, 0, 2, 0]);
     let across: Vec<_> = pairs.iter().filter(|p| p.query == 4).collect();
@@ -155,8 +157,8 @@ fn a_travel_gap_is_asked_of_one_log_and_never_across_logs() {
 }
 
 #[test]
-fn only_logs_of_one_site_pair_up() {
-    // `a` passes 0 m and 60 m, `b` of the same site passes 0 m, `c` of another site too.
+fn only_logs_of_one_site_give_pairs_with_a_common_frame() {
+    // `a` passes 0 m and 60 m. `b`, of the same site, passes 0 m. `c`, of another site, too.
     let mut keyframes = line(&[0.0, 60.0]);
     keyframes.push(Keyframe { site: "a".into(), ..at("b", 0, 0.0, 0.0) });
     keyframes.push(at("c", 0, 0.0, 0.0));
@@ -165,7 +167,8 @@ fn only_logs_of_one_site_pair_up() {
 
     let across = Options { cross_site_negatives: true, ..options(1.5, 50.0, 1) };
     check(&across, &keyframes, [1, 5, 0, 0, 0]);
-    // All three negative pairs are drawn, each of `a` and `c`; no frame, hence no angle.
+    // All three negative pairs are drawn, each between `a` and `c`. Without a common frame there is
+    // no heading difference.
     let keyframes =
         [at("a", 0, 0.0, 0.0), at("c", 0, 0.0, 0.0), at("c", 1, 0.5, 0.0), at("c", 2, 1.0, 0.0)];
     let pairs = check(&Options { pairs_per_class: 3, ..across }, &keyframes, [3, 3, 0, 0, 0]);
@@ -179,7 +182,7 @@ fn only_logs_of_one_site_pair_up() {
 }
 
 #[test]
-fn the_draw_has_the_size_asked_for_and_no_pair_twice() {
+fn the_draw_has_the_requested_size_and_no_duplicate_pairs() {
     let keyframes = three_logs();
     for pairs_per_class in [1, 10, 200] {
         let (pairs, _) = label(&options(1.5, 5.0, pairs_per_class), 7, &keyframes).unwrap();
@@ -188,7 +191,7 @@ fn the_draw_has_the_size_asked_for_and_no_pair_twice() {
         }
         assert!(pairs.iter().all(|p| p.reference < p.query && p.query < keyframes.len()));
         let order = |p: &Pair| (p.query, p.reference);
-        assert!(pairs.windows(2).all(|two| order(&two[0]) < order(&two[1])), "ordered, unique");
+        assert!(pairs.windows(2).all(|two| order(&two[0]) < order(&two[1])), "sorted and unique");
         for pair in &pairs {
             let (a, b) = (&keyframes[pair.query].pose, &keyframes[pair.reference].pose);
             assert_eq!(pair.distance_m, a.distance_m(b));
@@ -199,7 +202,7 @@ fn the_draw_has_the_size_asked_for_and_no_pair_twice() {
 }
 
 #[test]
-fn too_few_pairs_say_how_many_there_are_and_what_to_change() {
+fn the_error_for_too_few_pairs_states_the_counts_and_the_remedy() {
     let keyframes = line(&[0.0, 1.0, 2.5, 60.0, 61.0]);
     let check_message = |options: Options, parts: &[&str]| {
         let message = label(&options, 7, &keyframes).unwrap_err().to_string();
@@ -209,18 +212,18 @@ fn too_few_pairs_say_how_many_there_are_and_what_to_change() {
     check_message(
         options(1.5, 50.0, 4),
         &[
-            "3 positive pairs among 5 keyframes, `label.pairs_per_class` asks for 4",
+            "found 3 positive pairs among 5 keyframes, but `label.pairs_per_class` asks for 4",
             "3 positive, 6 negative, 1 ambiguous, 0 too close along the path, 0 without a common frame",
             "raise `label.positive_radius_m`",
             "lower `label.min_travel_gap_m`",
             "set `label.pairs_per_class` to 3 or less",
         ],
     );
-    // Farther than 60 m are only the first and the last.
+    // Only the first and the last scan are more than 60 m apart.
     check_message(
         options(1.5, 60.0, 2),
         &[
-            "1 negative pairs among 5 keyframes, `label.pairs_per_class` asks for 2",
+            "found 1 negative pairs among 5 keyframes, but `label.pairs_per_class` asks for 2",
             "lower `label.negative_min_m`",
             "the same `site`",
             "set `label.cross_site_negatives`",
@@ -232,7 +235,7 @@ fn too_few_pairs_say_how_many_there_are_and_what_to_change() {
 }
 
 #[test]
-fn one_seed_is_one_draw_on_any_number_of_threads() {
+fn the_draw_depends_on_the_seed_and_not_on_the_number_of_threads() {
     let keyframes = three_logs();
     let draw = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -268,9 +271,9 @@ fn the_draw_does_not_depend_on_the_order_of_the_logs() {
 }
 
 #[test]
-fn every_set_of_pairs_is_as_likely_as_any_other() {
-    // Five scans within reach of each other: 10 positive pairs, 120 sets of three of them. One
-    // scan far from these 5 and one of another site: 5 + 6 negative pairs, 165 sets.
+fn every_set_of_pairs_is_equally_likely() {
+    // Five scans close to each other: 10 positive pairs and 120 sets of three of them. One scan
+    // far from these 5 and one of another site: 5 + 6 negative pairs and 165 sets of three.
     let mut keyframes = line(&[0.0, 0.1, 0.2, 0.3, 0.4, 60.0, 120.0]);
     keyframes[6].site = "elsewhere".into();
     keyframes[6].id.log = "b".into();
@@ -289,7 +292,7 @@ fn every_set_of_pairs_is_as_likely_as_any_other() {
         }
     }
     // Chi-square with n - 1 degrees of freedom has mean n - 1 and variance 2 (n - 1); four
-    // standard deviations above the mean is rarer than 1 in 2000 here.
+    // standard deviations above the mean occur less often than 1 in 2000 times here.
     for (class, n_sets) in [(Label::Positive, 120.0), (Label::Negative, 165.0)] {
         let expected = SEEDS as f64 / n_sets;
         let seen: Vec<u32> =
@@ -303,7 +306,7 @@ fn every_set_of_pairs_is_as_likely_as_any_other() {
 }
 
 #[test]
-fn an_option_out_of_range_is_named() {
+fn an_option_out_of_range_is_reported_by_name() {
     let good = Options::default;
     assert_eq!(good().check(), Ok(()));
     let least = Options { positive_heading_deg: 0.0, ..options(0.0, 0.0, 1) };
@@ -325,11 +328,11 @@ fn an_option_out_of_range_is_named() {
     check_refused(Options { pairs_per_class: 0, ..good() }, "pairs_per_class");
 }
 
-fn by(grouping: Grouping, n_folds: u32, seed: u64) -> FoldOptions {
+fn fold_options(grouping: Grouping, n_folds: u32, seed: u64) -> FoldOptions {
     FoldOptions { grouping, n_folds, place_m: 2.0, seed }
 }
 
-/// The first pairs of a draw: so many positive, so many negative.
+/// The first `n_positive` positive and the first `n_negative` negative pairs of a draw.
 fn some_pairs(keyframes: &[Keyframe], n_positive: usize, n_negative: usize) -> Vec<Pair> {
     let (pairs, _) = label(&options(1.5, 5.0, 50), 2436, keyframes).unwrap();
     let first = |class, n| pairs.iter().filter(move |p| p.label == class).take(n).copied();
@@ -337,11 +340,12 @@ fn some_pairs(keyframes: &[Keyframe], n_positive: usize, n_negative: usize) -> V
 }
 
 #[test]
-fn each_class_is_dealt_evenly() {
+fn each_class_is_spread_evenly_over_the_folds() {
     let keyframes = three_logs();
     for (n_folds, n_positive, n_negative) in [(2, 2, 3), (5, 23, 50), (7, 49, 8), (10, 50, 50)] {
         let pairs = some_pairs(&keyframes, n_positive, n_negative);
-        let assigned = assign_folds(&by(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap();
+        let assigned =
+            assign_folds(&fold_options(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap();
         assert!(assigned.folds.iter().all(|[a, b]| a == b), "a pair touches one fold");
         let assigned: Vec<u32> = assigned.folds.iter().map(|folds| folds[0]).collect();
         assert_eq!(assigned.len(), pairs.len(), "one fold for every pair");
@@ -358,59 +362,59 @@ fn each_class_is_dealt_evenly() {
 }
 
 #[test]
-fn folds_follow_the_seed_and_the_scans_and_not_the_order_of_pairs() {
+fn folds_depend_on_the_seed_and_the_scans_but_not_on_the_order_of_pairs() {
     let keyframes = three_logs();
     let pairs = some_pairs(&keyframes, 50, 50);
     let assigned = |seed, keyframes: &[Keyframe], pairs: &[Pair]| {
-        assign_folds(&by(Grouping::Pair, 10, seed), keyframes, pairs).unwrap().folds
+        assign_folds(&fold_options(Grouping::Pair, 10, seed), keyframes, pairs).unwrap().folds
     };
     let expected = assigned(7, &keyframes, &pairs);
     assert_eq!(assigned(7, &keyframes, &pairs), expected);
     assert_ne!(assigned(8, &keyframes, &pairs), expected);
 
-    // The pairs backwards: each keeps its fold.
-    let backwards: Vec<Pair> = pairs.iter().rev().copied().collect();
-    assert!(assigned(7, &keyframes, &backwards).iter().eq(expected.iter().rev()));
+    // With the pairs reversed, each pair keeps its fold.
+    let reversed: Vec<Pair> = pairs.iter().rev().copied().collect();
+    assert!(assigned(7, &keyframes, &reversed).iter().eq(expected.iter().rev()));
 
-    // The keyframes backwards too, which turns every pair round.
-    let turned_keyframes: Vec<Keyframe> = keyframes.iter().rev().cloned().collect();
+    // With the keyframes reversed too, the query and the reference of every pair change places.
+    let reversed_keyframes: Vec<Keyframe> = keyframes.iter().rev().cloned().collect();
     let last = keyframes.len() - 1;
-    let turn = |p: &Pair| Pair { query: last - p.reference, reference: last - p.query, ..*p };
-    let turned: Vec<Pair> = pairs.iter().map(turn).collect();
-    assert_eq!(assigned(7, &turned_keyframes, &turned), expected);
+    let exchange = |p: &Pair| Pair { query: last - p.reference, reference: last - p.query, ..*p };
+    let exchanged: Vec<Pair> = pairs.iter().map(exchange).collect();
+    assert_eq!(assigned(7, &reversed_keyframes, &exchanged), expected);
 }
 
 #[test]
-fn too_few_folds_or_too_few_pairs_for_them_are_refused() {
+fn too_few_folds_and_too_few_pairs_per_fold_are_errors() {
     let keyframes = three_logs();
-    let message = |n_folds, n_positive, n_negative| {
+    let error = |n_folds, n_positive, n_negative| {
         let pairs = some_pairs(&keyframes, n_positive, n_negative);
-        assign_folds(&by(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap_err()
+        assign_folds(&fold_options(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap_err()
     };
     for n_folds in [0, 1] {
-        let refused = message(n_folds, 20, 20).to_string();
+        let refused = error(n_folds, 20, 20).to_string();
         assert!(refused.contains(&format!("folds` is {n_folds}, expected 2 or more")), "{refused}");
     }
     let positive = LabelError::TooFewForFolds { folds: 5, class: "positive", found: 4 };
-    assert_eq!(message(5, 4, 20), positive);
+    assert_eq!(error(5, 4, 20), positive);
     let negative = LabelError::TooFewForFolds { folds: 5, class: "negative", found: 0 };
-    assert_eq!(message(5, 5, 0), negative);
+    assert_eq!(error(5, 5, 0), negative);
     let text = negative.to_string();
-    assert!(text.contains("at least 5 pairs of each class, there are 0 negative"), "{text}");
+    assert!(text.contains("at least 5 pairs of each class, found 0 negative"), "{text}");
     assert!(text.contains("lower `evaluate.folds`"), "{text}");
 }
 
-/// Whatever the grouping, a scan, a block of ground or a log lies in one fold, and every pair
-/// touches the folds of its two keyframes.
+/// For each grouping, all keyframes of a group (a scan, a block of ground, or a log) are in one
+/// fold, and every pair touches the folds of its two keyframes.
 #[test]
-fn nothing_that_is_kept_together_is_in_two_folds() {
+fn no_group_is_split_between_folds() {
     let keyframes = three_logs();
     let pairs = some_pairs(&keyframes, 50, 50);
     for (grouping, n_folds, n_groups) in
         [(Grouping::Scan, 10, 75), (Grouping::Place, 10, 21), (Grouping::Log, 3, 3)]
     {
-        let assigned = assign_folds(&by(grouping, 10, 7), &keyframes, &pairs).unwrap();
-        assert_eq!(assigned.n_folds, n_folds, "logs are but three: a fold for each");
+        let assigned = assign_folds(&fold_options(grouping, 10, 7), &keyframes, &pairs).unwrap();
+        assert_eq!(assigned.n_folds, n_folds, "there are three logs, so three folds");
         assert_eq!(assigned.keyframe_folds.len(), keyframes.len());
         let mut fold_of = BTreeMap::new();
         for (keyframe, &fold) in keyframes.iter().zip(&assigned.keyframe_folds) {
@@ -422,23 +426,32 @@ fn nothing_that_is_kept_together_is_in_two_folds() {
             };
             assert_eq!(*fold_of.entry(name).or_insert(fold), fold, "{grouping:?} in two folds");
         }
-        // x = 0 to 6.5 m and 20 to 24 m: cells 0 to 3 and 10 to 12; y = 0 to 4 m: cells 0 to 2. The
-        // blocks of log a and b: 4 x 3; of c: 3 x 3.
+        // x from 0 to 6.5 m and from 20 to 24 m: cells 0 to 3 and 10 to 12. y from 0 to 4 m: cells
+        // 0 to 2. Logs a and b cover 4 x 3 blocks, log c covers 3 x 3.
         assert_eq!(fold_of.len(), n_groups, "{grouping:?}");
         for fold in 0..n_folds {
-            let held = assigned.keyframe_folds.iter().filter(|&&f| f == fold).count();
-            assert!(0 < held && held < 75 / 2, "{grouping:?}: {held} keyframes in fold {fold}");
+            let n_keyframes = assigned.keyframe_folds.iter().filter(|&&f| f == fold).count();
+            assert!(
+                0 < n_keyframes && n_keyframes < 75 / 2,
+                "{grouping:?}: {n_keyframes} keyframes in fold {fold}"
+            );
         }
         for ((pair, folds), groups) in pairs.iter().zip(&assigned.folds).zip(&assigned.groups) {
             let of = |k: usize| assigned.keyframe_folds[k];
             assert_eq!(*folds, [of(pair.query), of(pair.reference)]);
             if folds[0] != folds[1] {
-                assert_ne!(groups[0], groups[1], "a group lies in one fold");
+                assert_ne!(groups[0], groups[1], "a group is in one fold");
             }
         }
-        assert_eq!(assign_folds(&by(grouping, 10, 7), &keyframes, &pairs).unwrap(), assigned);
+        assert_eq!(
+            assign_folds(&fold_options(grouping, 10, 7), &keyframes, &pairs).unwrap(),
+            assigned
+        );
         if grouping != Grouping::Log {
-            assert_ne!(assign_folds(&by(grouping, 10, 8), &keyframes, &pairs).unwrap(), assigned);
+            assert_ne!(
+                assign_folds(&fold_options(grouping, 10, 8), &keyframes, &pairs).unwrap(),
+                assigned
+            );
         }
     }
 }
@@ -446,11 +459,14 @@ fn nothing_that_is_kept_together_is_in_two_folds() {
 #[test]
 fn one_log_cannot_be_held_out() {
     let keyframes = line(&[0.0, 1.0, 60.0, 61.0]);
-    let error = assign_folds(&by(Grouping::Log, 10, 7), &keyframes, &[]).unwrap_err();
+    let error = assign_folds(&fold_options(Grouping::Log, 10, 7), &keyframes, &[]).unwrap_err();
     let expected = LabelError::TooFewGroups { grouping: "log", groups: "logs", found: 1 };
     assert_eq!(error, expected);
     assert!(error.to_string().contains("leave `log` out of `evaluate.groupings`"), "{error}");
-    let error =
-        assign_folds(&FoldOptions { place_m: 0.0, ..by(Grouping::Place, 2, 7) }, &keyframes, &[]);
+    let error = assign_folds(
+        &FoldOptions { place_m: 0.0, ..fold_options(Grouping::Place, 2, 7) },
+        &keyframes,
+        &[],
+    );
     assert!(error.unwrap_err().to_string().contains("`evaluate.place_m` is 0"));
 }
