@@ -1,8 +1,37 @@
 //! `subsample`: scans and poses -> keyframes.
 //!
-//! A keyframe is a scan whose straight-line distance from the last one kept reaches
-//! `spacing_m`, or, where that is asked for, whose heading has turned by `turn_deg` since. Path
-//! length would count the jitter of a robot that stands still.
+//! The first usable scan of a log is a keyframe. A later scan becomes a keyframe when its
+//! straight-line distance from the last keyframe is at least `spacing_m`. If `turn_deg` is set, a
+//! heading change of at least `turn_deg` since the last keyframe is enough too. The distance is not
+//! the path length, because path length grows with the jitter of a robot that stands still.
+//!
+//! ```
+//! use dataset::{Pose2, StampedPose, Trajectory};
+//! use subsample::{Candidate, Options, subsample};
+//!
+//! // A robot that drives 1 m/s along x for 2 s, and a scan every 0.25 s.
+//! let pose = |second: i64| {
+//!     let pose = Pose2 { x_m: second as f64, y_m: 0.0, heading_rad: 0.0 };
+//!     StampedPose::new(second * 1_000_000_000, pose)
+//! };
+//! let (trajectory, _) = Trajectory::new(vec![pose(0), pose(1), pose(2)]);
+//! let scans: Vec<Candidate> = (0..9)
+//!     .map(|scan| Candidate {
+//!         scan,
+//!         stamp_ns: i64::from(scan) * 250_000_000,
+//!         coverage_deg: 360.0,
+//!         usable: true,
+//!     })
+//!     .collect();
+//!
+//! let options = Options { spacing_m: 0.5, ..Options::default() };
+//! let (keyframes, losses) =
+//!     subsample(&options, &"drive".into(), &"campus".into(), &scans, &trajectory)?;
+//! let kept: Vec<u32> = keyframes.iter().map(|keyframe| keyframe.id.scan).collect();
+//! assert_eq!(kept, [0, 2, 4, 6, 8]);
+//! assert!(losses.is_empty());
+//! # Ok::<(), subsample::SubsampleError>(())
+//! ```
 
 use std::sync::Arc;
 
@@ -14,14 +43,15 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "SubsampleOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Straight-line distance from one keyframe to the next \[m\].
+    /// Least straight-line distance from one keyframe to the next \[m\].
     pub spacing_m: f64,
-    /// A scan is kept too once the heading has turned by this much since the last one kept \[deg\]:
-    /// for a scanner that sees less than a full circle. Default: turns alone keep none.
+    /// Also keep a scan when the heading has changed by this much since the last keyframe \[deg\].
+    /// Useful for a scanner that sees less than a full circle. Not set by default: a change of
+    /// heading alone keeps no scan.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub turn_deg: Option<f64>,
-    /// A scan whose pose would be interpolated between two poses farther apart in time than this
-    /// is dropped and counted \[s\]. A scan at the very stamp of a pose needs no second one.
+    /// Largest time between two poses to interpolate between \[s\]. A scan in a longer gap is
+    /// dropped and counted. A scan with exactly the stamp of a pose needs no interpolation.
     pub max_pose_gap_secs: f64,
 }
 
@@ -32,7 +62,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Refuses values out of range.
+    /// Checks that every value is in range.
     pub fn check(&self) -> Result<(), SubsampleError> {
         let (spacing, gap) = (self.spacing_m, self.max_pose_gap_secs);
         check_option("spacing_m", spacing, 0.0 < spacing, "more than 0")?;
@@ -44,52 +74,52 @@ impl Options {
     }
 }
 
-/// What a keyframe can be made of: a scan without its points.
+/// A scan without its points, which may become a keyframe.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Candidate {
     /// Number of the scan in its log.
     pub scan: u32,
     /// When the scan's first beam fired \[ns since the epoch\].
     pub stamp_ns: i64,
-    /// Angle swept by the scan \[deg\].
+    /// Angle covered by the scan \[deg\].
     pub coverage_deg: f32,
-    /// Whether features can be computed from it.
+    /// Whether features can be computed from the scan.
     pub usable: bool,
 }
 
-/// Why a log gives no keyframes.
+/// Why a log has no keyframes.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum SubsampleError {
-    /// There is not one pose.
+    /// The log has no poses.
     #[error("log `{log}` has no poses: set `ingest.pose.topic` to its pose topic")]
     NoPoses {
         /// The log.
         log: Arc<str>,
     },
-    /// There is nowhere to keep a second scan.
+    /// The robot never moves far enough for a second keyframe.
     #[error(
-        "log `{log}`: its {n_poses} poses stay within {farthest_m:.3} m of the first, less than `subsample.spacing_m` ({spacing_m}); check that the pose topic tells where the robot is and not where a sensor sits on it, or leave the log out of `ingest.logs`"
+        "log `{log}`: its {n_poses} poses stay within {farthest_m:.3} m of the first, less than `subsample.spacing_m` ({spacing_m}); check that the pose topic contains the pose of the robot and not the mounting pose of a sensor, or leave the log out of `ingest.logs`"
     )]
     NeverMoves {
         /// The log.
         log: Arc<str>,
-        /// Poses in the log.
+        /// Number of poses in the log.
         n_poses: usize,
         /// Largest distance from the first pose \[m\].
         farthest_m: f64,
         /// [`Options::spacing_m`].
         spacing_m: f64,
     },
-    /// Scans and poses do not meet.
+    /// No scan has a pose and is usable.
     #[error(
-        "log `{log}`: none of its {n_scans} scans could be kept ({dropped}); check that the stamps of lidar and poses are of one clock, `subsample.max_pose_gap_secs`, and the lidar's range limits"
+        "log `{log}`: none of its {n_scans} scans could be kept ({dropped}); check that lidar and poses are stamped by the same clock, and check `subsample.max_pose_gap_secs` and the lidar's range limits"
     )]
     NoKeyframes {
         /// The log.
         log: Arc<str>,
-        /// Scans in the log.
+        /// Number of scans in the log.
         n_scans: usize,
-        /// Reasons and counts.
+        /// What was dropped, with counts.
         dropped: Dropped,
     },
     /// An option out of range.
@@ -104,11 +134,14 @@ pub enum SubsampleError {
     },
 }
 
-/// Keeps a scan every `spacing_m` along one log.
+/// Selects the keyframes of one log, and counts what was dropped.
 ///
-/// Scans are taken in order of their stamps: logs exist in which stamps step back. Scans without
-/// a pose are dropped; so are scans that no feature can be computed from, where they would have
-/// become keyframes, and the next scan takes their place.
+/// Scans are visited in the order of their stamps, because stamps can go back in time in a log. A
+/// scan without a pose is dropped. If a scan is due to become a keyframe but is not usable, it is
+/// dropped and the next usable scan becomes the keyframe.
+///
+/// Fails when an option is out of range, when there are no poses, when the robot never moves far
+/// enough, or when no scan could be kept.
 pub fn subsample(
     options: &Options,
     log: &Arc<str>,
@@ -121,11 +154,11 @@ pub fn subsample(
     let turn_rad = options.turn_deg.map_or(f64::INFINITY, f64::to_radians);
     let max_gap_ns = (options.max_pose_gap_secs * 1e9) as i64;
 
-    let mut in_time: Vec<&Candidate> = candidates.iter().collect();
-    in_time.sort_by_key(|candidate| (candidate.stamp_ns, candidate.scan));
+    let mut by_stamp: Vec<&Candidate> = candidates.iter().collect();
+    by_stamp.sort_by_key(|candidate| (candidate.stamp_ns, candidate.scan));
     let mut keyframes: Vec<Keyframe> = Vec::new();
     let mut dropped = Dropped::default();
-    for candidate in in_time {
+    for candidate in by_stamp {
         let stamped = match trajectory.stamped_pose_at(candidate.stamp_ns, max_gap_ns) {
             Ok(stamped) => stamped,
             Err(why) => {
@@ -133,7 +166,7 @@ pub fn subsample(
                 continue;
             }
         };
-        let travelled_m = match keyframes.last() {
+        let travel_m = match keyframes.last() {
             None => 0.0,
             Some(last) => {
                 let moved_m = last.pose.distance_m(&stamped.pose);
@@ -154,7 +187,7 @@ pub fn subsample(
             stamp_ns: candidate.stamp_ns,
             pose: stamped.pose,
             covariance: stamped.covariance,
-            travel_m: travelled_m,
+            travel_m,
             coverage_deg: candidate.coverage_deg,
         });
     }
@@ -165,7 +198,8 @@ pub fn subsample(
     Ok((keyframes, dropped))
 }
 
-/// Refuses a log whose poses are all at one place; turned there is moved, where turns are asked for.
+/// Checks that some pose is `spacing_m` away from the first one, or turned from it by `turn_deg` if
+/// that option is set.
 fn check_moves(
     options: &Options,
     log: &Arc<str>,
@@ -178,9 +212,9 @@ fn check_moves(
         trajectory.poses().iter().map(|p| of(&first.pose, &p.pose)).fold(0.0, f64::max)
     };
     let farthest_m = largest(Pose2::distance_m);
-    let turns =
+    let turns_enough =
         options.turn_deg.is_some_and(|t| t.to_radians() <= largest(Pose2::heading_difference_rad));
-    if options.spacing_m <= farthest_m || turns {
+    if options.spacing_m <= farthest_m || turns_enough {
         return Ok(());
     }
     let n_poses = trajectory.poses().len();
@@ -206,7 +240,8 @@ mod tests {
     use super::*;
     use dataset::StampedPose;
 
-    /// A robot that is at `x_m[k]` at second `k`, and a scan every half second.
+    /// Checks the scan numbers and travelled distances of the keyframes. The robot is at `x_m[k]` at
+    /// second `k`, and there is a scan every half second.
     fn check(x_m: &[f64], unusable: &[u32], expected: &[(u32, f64)]) -> Dropped {
         let poses = x_m.iter().zip(0..).map(|(&x_m, k)| {
             StampedPose::new(k * 1_000_000_000, Pose2 { x_m, ..Pose2::default() })
@@ -234,19 +269,20 @@ mod tests {
     }
 
     #[test]
-    fn a_scan_each_half_metre() {
+    fn a_keyframe_is_kept_every_half_metre() {
         // 0.25 m from one scan to the next: every second scan.
         check(&[0.0, 0.5, 1.0, 1.5], &[], &[(0, 0.0), (2, 0.5), (4, 1.0), (6, 1.5)]);
-        // 0.375 m: 0.75 m is reached first.
+        // 0.375 m from one scan to the next: the second scan, at 0.75 m, is the first past 0.5 m.
         check(&[0.0, 0.75, 1.5], &[], &[(0, 0.0), (2, 0.75), (4, 1.5)]);
     }
 
     #[test]
-    fn jitter_at_standstill_keeps_one_scan() {
+    fn jitter_of_a_robot_that_stands_still_keeps_one_scan() {
         check(&[0.0, 0.2, 0.0, 0.2, 0.0, 0.2, 1.2], &[], &[(0, 0.0), (11, 0.7), (12, 1.2)]);
     }
 
-    /// Poses each second and a scan at each, turned by 30 deg between.
+    /// Numbers of the kept scans. There is a scan at each pose, and the heading changes by 30 deg
+    /// from one pose to the next.
     fn turning(x_m: &[f64], turn_deg: Option<f64>) -> Result<Vec<u32>, SubsampleError> {
         let poses = x_m.iter().zip(0..).map(|(&x_m, k)| {
             let heading_rad = dataset::wrap_angle((30.0 * k as f64).to_radians());
@@ -270,31 +306,32 @@ mod tests {
     }
 
     #[test]
-    fn turns_keep_scans_where_asked_for() {
-        let ways = [0.0, 0.1, 0.2, 0.3, 0.9, 1.0];
-        assert_eq!(turning(&ways, None).unwrap(), [0, 4]);
-        // 30 deg a scan: 50 deg is passed by the second; the way is reached at scan 4 too.
-        assert_eq!(turning(&ways, Some(50.0)).unwrap(), [0, 2, 4]);
-        assert_eq!(turning(&ways, Some(20.0)).unwrap(), [0, 1, 2, 3, 4, 5]);
-        // On the spot, all around and past the seam.
+    fn heading_changes_keep_scans_if_turn_deg_is_set() {
+        let x_m = [0.0, 0.1, 0.2, 0.3, 0.9, 1.0];
+        assert_eq!(turning(&x_m, None).unwrap(), [0, 4]);
+        // 30 deg per scan: every second scan is past 50 deg. Scan 4 is past the spacing too.
+        assert_eq!(turning(&x_m, Some(50.0)).unwrap(), [0, 2, 4]);
+        assert_eq!(turning(&x_m, Some(20.0)).unwrap(), [0, 1, 2, 3, 4, 5]);
+        // Turning on the spot by more than a full circle.
         assert_eq!(turning(&[0.0; 14], Some(89.0)).unwrap(), [0, 3, 6, 9, 12]);
     }
 
     #[test]
-    fn a_log_that_never_moves_is_an_error() {
+    fn a_robot_that_never_moves_is_an_error() {
         let error = turning(&[0.0, 0.25, -0.125], None).unwrap_err();
         assert_eq!(
             error.to_string(),
             "log `drive`: its 3 poses stay within 0.250 m of the first, less than \
-             `subsample.spacing_m` (0.5); check that the pose topic tells where the robot is and not \
-             where a sensor sits on it, or leave the log out of `ingest.logs`"
+             `subsample.spacing_m` (0.5); check that the pose topic contains the pose of the robot \
+             and not the mounting pose of a sensor, or leave the log out of `ingest.logs`"
         );
         assert!(turning(&[0.0, 0.0, 0.0], Some(61.0)).is_err());
     }
 
     #[test]
-    fn the_next_scan_takes_the_place_of_an_unusable_one() {
-        // Scan 3 would be the second keyframe; scan 4 is, 0.75 m from the first.
+    fn the_next_usable_scan_replaces_an_unusable_keyframe() {
+        // Scan 3 would be the second keyframe, but it is not usable. Scan 4 is kept, 0.75 m from the
+        // first.
         let expected = [(1, 0.0), (4, 0.75), (6, 1.25)];
         let dropped = check(&[0.0, 0.5, 1.0, 1.5], &[0, 3], &expected);
         assert_eq!(dropped.to_string(), "2 scans with fewer than 3 returns or all on one line");
@@ -325,13 +362,13 @@ mod tests {
             "1 scans after the last pose, 1 scans before the first pose, 2 scans in a gap between poses"
         );
         assert!(matches!(run(&[1, 2]), Err(SubsampleError::NoKeyframes { n_scans: 2, .. })));
-        // Stamps that step back are taken in order of time.
+        // Scans are visited in the order of their stamps.
         let (keyframes, _) = run(&[11, 10]).unwrap();
         assert_eq!(keyframes[0].id.scan, 1);
     }
 
     #[test]
-    fn options_out_of_range_are_named() {
+    fn an_option_out_of_range_is_reported_by_name() {
         let options = Options { spacing_m: 0.0, ..Options::default() };
         let error =
             subsample(&options, &"a".into(), &"a".into(), &[], &Trajectory::default()).unwrap_err();
