@@ -2,7 +2,7 @@
 //!
 //! `cargo bench -p featurize --bench features`
 //!
-//! The peer, run by the Python in `LOOPBOOST_PYTHON`, measures like scans (`tests/peers/features.py`,
+//! The time_numpy, run by the Python in `LOOPBOOST_PYTHON`, measures like scans (`tests/peers/features.py`,
 //! which on a run folder checks the values too). Both are run in turn.
 
 use std::path::Path;
@@ -21,8 +21,8 @@ fn main() {
     for set in [FeatureSet::Paper16, FeatureSet::Campus] {
         let (mut ours, mut peers) = (Vec::new(), Vec::new());
         for _ in 0..RUNS {
-            ours.push(seconds_a_scan(set, &scans));
-            peers.extend(peer(set));
+            ours.push(seconds_per_scan(set, &scans));
+            peers.extend(time_numpy(set));
         }
         let median = |seconds: &mut Vec<f64>| {
             seconds.sort_by(f64::total_cmp);
@@ -32,15 +32,15 @@ fn main() {
         println!("{} of {RETURNS} returns, one thread, median of {RUNS}:", set.name());
         println!("  loopboost {:>9.1} us a scan", ours * 1e6);
         match median(&mut peers) {
-            Some(peer) => {
-                println!("  numpy     {:>9.1} us a scan, ratio {:.1}", peer * 1e6, peer / ours);
+            Some(time_numpy) => {
+                println!("  numpy     {:>9.1} us a scan, ratio {:.1}", time_numpy * 1e6, time_numpy / ours);
             }
             None => println!("  skipped: no Python with numpy (LOOPBOOST_PYTHON)"),
         }
     }
 }
 
-fn seconds_a_scan(set: FeatureSet, scans: &[Scan]) -> f64 {
+fn seconds_per_scan(set: FeatureSet, scans: &[Scan]) -> f64 {
     let mut featurizer = Featurizer::new(&Options { set, ..Options::default() });
     let mut features = vec![0.0; set.feature_names().len()];
     let start = Instant::now();
@@ -51,7 +51,7 @@ fn seconds_a_scan(set: FeatureSet, scans: &[Scan]) -> f64 {
     start.elapsed().as_secs_f64() / scans.len() as f64
 }
 
-fn peer(set: FeatureSet) -> Option<f64> {
+fn time_numpy(set: FeatureSet) -> Option<f64> {
     let python = std::env::var("LOOPBOOST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let output = Command::new(python)

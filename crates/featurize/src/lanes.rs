@@ -54,8 +54,8 @@ pub(crate) fn sums<const M: usize, const N: usize>(
 
 /// How many of the values are so.
 #[inline(always)]
-pub(crate) fn count(values: &[f64], is_so: impl Fn(f64) -> bool) -> usize {
-    values.iter().map(|&value| usize::from(is_so(value))).sum()
+pub(crate) fn count(values: &[f64], is_counted: impl Fn(f64) -> bool) -> usize {
+    values.iter().map(|&value| usize::from(is_counted(value))).sum()
 }
 
 /// The sum of squared deviations from the mean of values whose sum is known.

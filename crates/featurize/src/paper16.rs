@@ -199,7 +199,7 @@ impl Paper16 {
         let [bu] = sums(points, |p| [about(p).0 * square(p)]);
         let [bv] = sums(points, |p| [about(p).1 * square(p)]);
         let (det, trace) = (suu * svv - suv * suv, suu + svv);
-        let is_clear = det.is_finite() && CLEARLY_NO_LINE * trace * trace < det;
+        let is_clear = det.is_finite() && CLEARLY_NOT_ONE_LINE * trace * trace < det;
         if !is_clear {
             scan.check_usable()?;
         }
@@ -243,15 +243,15 @@ impl Paper16 {
             let curvature = 2.0 * doubled_area / (a2 * b2 * c2).sqrt();
             if within(a2) & within(b2) & within(c2) { curvature } else { NO_CURVATURE }
         });
-        let is_one = |v: f64| 0.0 <= v;
+        let is_curvature = |v: f64| 0.0 <= v;
         let [n_within, sum] =
-            sums([scratch], |[v]| [f64::from(is_one(v)), if is_one(v) { v } else { 0.0 }]);
+            sums([scratch], |[v]| [f64::from(is_curvature(v)), if is_curvature(v) { v } else { 0.0 }]);
         if n_within < 1.0 {
             return MeanStd { mean: 0.0, std: 0.0 };
         }
         let mean = sum / n_within;
         let [squares] = sums([scratch], |[v]| {
-            let off = if is_one(v) { v - mean } else { 0.0 };
+            let off = if is_curvature(v) { v - mean } else { 0.0 };
             [off * off]
         });
         let std = if n_within < 2.0 { 0.0 } else { (squares / (n_within - 1.0)).sqrt() };
@@ -264,7 +264,7 @@ const NO_CURVATURE: f64 = -1.0;
 
 /// det / trace^2 of the scatter matrix from which points are on no line whatever the rounding; ten
 /// times what [`Scan::check_usable`] asks for.
-const CLEARLY_NO_LINE: f64 = 1e-11;
+const CLEARLY_NOT_ONE_LINE: f64 = 1e-11;
 
 /// Tangents below this are angles by four terms: the fifth, t^9 / 9, is less than 1e-17 of t.
 const SMALL_TANGENT: f64 = 0.009;
@@ -322,7 +322,7 @@ fn curvature_stride(angles_rad: &[f64], scratch: &mut Vec<f64>) -> Option<usize>
     let stride_of = |median: f64| ((one / median).round() as usize).max(1);
     // The median of a few gives a guess; where both middle angles lie well within what the guess
     // stands for, it is right, and nothing has to be sorted.
-    refill(scratch, angles_rad.iter().copied().step_by(SAMPLE));
+    refill(scratch, angles_rad.iter().copied().step_by(SAMPLE_STEP));
     let guess = median(scratch);
     if 0.0 < guess {
         let stride = stride_of(guess);
@@ -341,7 +341,7 @@ fn curvature_stride(angles_rad: &[f64], scratch: &mut Vec<f64>) -> Option<usize>
 }
 
 /// Of so many angles one makes the guess.
-const SAMPLE: usize = 32;
+const SAMPLE_STEP: usize = 32;
 
 /// The middle value, or the mean of the two middle ones; reorders the values.
 fn median(values: &mut [f64]) -> f64 {

@@ -189,7 +189,7 @@ impl Out<'_> {
 
 /// Deals a weight to the two centres about a value, linearly; beyond the ends, to the end.
 #[inline]
-fn deal<const N: usize>(histogram: &mut [f64; N], centres: &[f64; N], value: f64, weight: f64) {
+fn add_soft<const N: usize>(histogram: &mut [f64; N], centres: &[f64; N], value: f64, weight: f64) {
     if value <= centres[0] {
         histogram[0] += weight;
     } else if centres[N - 1] <= value {
@@ -235,7 +235,7 @@ mod tests {
     fn a_value_is_dealt_to_the_centres_about_it() {
         let mut histogram = [0.0; 3];
         for (value, weight) in [(3.0, 1.0), (0.0, 2.0), (9.0, 4.0), (2.0, 8.0), (1.75, 16.0)] {
-            deal(&mut histogram, &[1.0, 2.0, 4.0], value, weight);
+            add_soft(&mut histogram, &[1.0, 2.0, 4.0], value, weight);
         }
         assert_eq!(histogram, [2.0 + 4.0, 0.5 + 8.0 + 12.0, 0.5 + 4.0]);
     }

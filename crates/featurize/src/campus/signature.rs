@@ -2,7 +2,7 @@
 
 use dataset::Scan;
 
-use super::{Out, deal, ln_all, percentiles};
+use super::{Out, add_soft, ln_all, percentiles};
 
 /// A quarter of a turn, in bins.
 const QUARTER: usize = 90;
@@ -124,12 +124,12 @@ impl Signature {
         let mut before = first;
         for k in first + 1..=last {
             if is_full(&k) {
-                between(ln_r, before, k, bins.n);
+                interpolate_bins(ln_r, before, k, bins.n);
                 before = k;
             }
         }
         if self.is_ring {
-            between(ln_r, last, first + bins.n, bins.n);
+            interpolate_bins(ln_r, last, first + bins.n, bins.n);
         } else {
             let ends = (ln_r[first], ln_r[last]);
             ln_r[..first].fill(ends.0);
@@ -145,7 +145,7 @@ impl Signature {
         let centres: [f64; 13] =
             std::array::from_fn(|k| (k as f64 - 1.0) * 0.5 * std::f64::consts::LN_2);
         for &m in &self.ln_r {
-            deal(&mut by_range, &centres, m, one);
+            add_soft(&mut by_range, &centres, m, one);
         }
         out.push(&by_range);
 
@@ -181,7 +181,7 @@ impl Signature {
         let n_steps = if self.is_ring { n } else { n - 1 };
         for k in 0..n_steps {
             let step = (self.ln_r[(k + 1) % n] - self.ln_r[k]).abs();
-            deal(&mut by_step, &centres, libm::log(step + 1e-4), 1.0 / n_steps as f64);
+            add_soft(&mut by_step, &centres, libm::log(step + 1e-4), 1.0 / n_steps as f64);
         }
         out.push(&by_step);
     }
@@ -202,7 +202,7 @@ fn open_bins(returns: &[Polar], coverage_deg: f64) -> Bins {
 }
 
 /// Fills the bins between two full ones, taken round the ring.
-fn between(ln_r: &mut [f64], before: usize, after: usize, n: usize) {
+fn interpolate_bins(ln_r: &mut [f64], before: usize, after: usize, n: usize) {
     let (from, to) = (ln_r[before % n], ln_r[after % n]);
     for k in before + 1..after {
         let share = (k - before) as f64 / (after - before) as f64;

@@ -3,7 +3,7 @@
 //! of this changes on a step to the side.
 
 use super::signature::Signature;
-use super::{Out, deal, ln_all, shares};
+use super::{Out, add_soft, ln_all, shares};
 
 const GAPS_M: [f64; 7] = [0.6, 1.0, 1.6, 2.5, 4.0, 7.0, 15.0];
 const RUNS_M: [f64; 8] = [0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
@@ -80,15 +80,15 @@ impl Walls {
                 let apart = [a.at[0] - b.at[0], a.at[1] - b.at[1]];
                 let off = 0.5 * (cross(a.along, apart).abs() + cross(b.along, apart).abs());
                 if 0.0 < cos {
-                    deal(&mut offset, &OFFSET_M, off, weight);
+                    add_soft(&mut offset, &OFFSET_M, off, weight);
                     continue;
                 }
                 faced += weight;
-                deal(&mut facing, &FACING_M, off, weight);
+                add_soft(&mut facing, &FACING_M, off, weight);
                 let along = 0.5 * (dot(a.along, apart).abs() + dot(b.along, apart).abs());
                 let share = (along / ACROSS_ALONG_M).powi(2);
                 if share < 1.0 {
-                    deal(&mut across, &ACROSS_M, off, weight * (1.0 - share).powi(2));
+                    add_soft(&mut across, &ACROSS_M, off, weight * (1.0 - share).powi(2));
                 }
             }
         }
@@ -103,7 +103,7 @@ impl Walls {
         let (mut gaps, mut runs) = ([0.0; 7], [0.0; 8]);
         let (gap_centres, run_centres) = (ln_all(GAPS_M), ln_all(RUNS_M));
         let mut run = |length: f64| {
-            deal(&mut runs, &run_centres, libm::log(length + 1e-3), length);
+            add_soft(&mut runs, &run_centres, libm::log(length + 1e-3), length);
         };
         // On a ring what stands before the first gap goes on behind the last.
         let mut first = None;
@@ -113,7 +113,7 @@ impl Walls {
                 length += step.length;
                 continue;
             }
-            deal(&mut gaps, &gap_centres, libm::log(step.length), 1.0);
+            add_soft(&mut gaps, &gap_centres, libm::log(step.length), 1.0);
             match first {
                 None if is_ring => first = Some(length),
                 _ => run(length),
