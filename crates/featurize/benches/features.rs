@@ -33,7 +33,11 @@ fn main() {
         println!("  loopboost {:>9.1} us a scan", ours * 1e6);
         match median(&mut peers) {
             Some(time_numpy) => {
-                println!("  numpy     {:>9.1} us a scan, ratio {:.1}", time_numpy * 1e6, time_numpy / ours);
+                println!(
+                    "  numpy     {:>9.1} us a scan, ratio {:.1}",
+                    time_numpy * 1e6,
+                    time_numpy / ours
+                );
             }
             None => println!("  skipped: no Python with numpy (LOOPBOOST_PYTHON)"),
         }

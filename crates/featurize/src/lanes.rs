@@ -1,13 +1,16 @@
-//! Columns computed from columns, in loops that run on vectors, and sums in lanes: value k goes to
-//! lane k modulo [`LANES`], and the lanes are added in their order. That order is fixed, so that the
-//! bits are the same everywhere, and additions need not wait for one another.
+//! Operations on columns that the compiler turns into vector instructions.
+//!
+//! A sum has [`LANES`] partial sums: value k is added to lane k modulo [`LANES`], and the lanes are
+//! added in order at the end. The lanes do not wait for each other. The order of the additions is
+//! fixed, and therefore the result has the same bits on every machine.
 
 use std::array::from_fn;
 
-/// Sums that run side by side.
+/// Number of partial sums.
 const LANES: usize = 8;
 
-/// Writes to `out` what `value` makes of each row of the columns, which are of one length.
+/// Computes `value` for each row of the columns and writes the results to `out`. The columns must
+/// have equal lengths.
 #[inline(always)]
 pub(crate) fn fill<const M: usize>(
     out: &mut Vec<f64>,
@@ -17,14 +20,15 @@ pub(crate) fn fill<const M: usize>(
     let n = columns[0].len();
     out.resize(n, 0.0);
     let out = &mut out[..n];
-    // Cut to one length where the loop stands: no bound is left to check in it.
+    // Slicing all columns to the same length here removes the bounds checks from the loop.
     let columns = columns.map(|column| &column[..n]);
     for (k, out) in out.iter_mut().enumerate() {
         *out = value(from_fn(|c| columns[c][k]));
     }
 }
 
-/// The sums of the N values that `values` makes of each row of the columns, which are of one length.
+/// Computes the N `values` for each row of the columns and returns their N sums. The columns must
+/// have equal lengths.
 #[inline(always)]
 pub(crate) fn sums<const M: usize, const N: usize>(
     columns: [&[f64]; M],
@@ -52,13 +56,13 @@ pub(crate) fn sums<const M: usize, const N: usize>(
     lanes.map(|sums| sums.iter().sum())
 }
 
-/// How many of the values are so.
+/// Number of values for which `is_counted` is true.
 #[inline(always)]
 pub(crate) fn count(values: &[f64], is_counted: impl Fn(f64) -> bool) -> usize {
     values.iter().map(|&value| usize::from(is_counted(value))).sum()
 }
 
-/// The sum of squared deviations from the mean of values whose sum is known.
+/// The sum of squared deviations from the mean. `sum` is the sum of the values.
 #[inline(always)]
 pub(crate) fn deviations(values: &[f64], sum: f64) -> f64 {
     let mean = sum / values.len() as f64;
@@ -71,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_row_counts_once_whatever_the_number() {
+    fn each_row_counts_once_for_any_number_of_rows() {
         for n in 0..40usize {
             let column: Vec<f64> = (0..n).map(|k| k as f64).collect();
             let expected = (n * n.saturating_sub(1) / 2) as f64;
@@ -81,7 +85,7 @@ mod tests {
             assert!(out.iter().enumerate().all(|(k, v)| *v as usize == k * k) && out.len() == n);
         }
         assert_eq!(count(&[1.0, 2.0, 3.0], |v| v < 2.5), 2);
-        // 1, 2, 3, 6 about 3: 4 + 1 + 0 + 9.
+        // 1, 2, 3 and 6 have the mean 3: 4 + 1 + 0 + 9.
         assert_eq!(deviations(&[1.0, 2.0, 3.0, 6.0], 12.0), 14.0);
     }
 }

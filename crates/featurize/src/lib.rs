@@ -1,6 +1,35 @@
-//! `featurize`: a scan -> features, a pair -> their absolute differences.
+//! `featurize`: a scan -> features, a pair of scans -> the absolute differences of their features.
 //!
-//! Everything here also runs on a robot: no Arrow, no Parquet, no MCAP.
+//! There are two feature sets, [`FeatureSet::Paper16`] and [`FeatureSet::Campus`]. docs/features.md
+//! defines each feature and gives the decisions behind it. This crate also runs on a robot, so it
+//! uses neither Arrow nor Parquet nor MCAP.
+//!
+//! ```
+//! use dataset::Scan;
+//! use featurize::{FeatureSet, Featurizer, Options, difference};
+//!
+//! // 720 returns on a circle around the sensor, 0.5 deg apart.
+//! let circle = |radius_m: f32| {
+//!     let angles = (0..720).map(|k| (0.5 * k as f32).to_radians());
+//!     let (x_m, y_m) = angles.map(|a| (radius_m * a.cos(), radius_m * a.sin())).unzip();
+//!     Scan { x_m, y_m, coverage_deg: 360.0, ..Scan::default() }
+//! };
+//!
+//! let options = Options { set: FeatureSet::Paper16, ..Options::default() };
+//! options.check()?;
+//! let names = options.set.feature_names();
+//! let mut featurizer = Featurizer::new(&options);
+//! let (mut a, mut b, mut a_minus_b) = (vec![0.0; 16], vec![0.0; 16], vec![0.0; 16]);
+//! featurizer.features(&circle(5.0), &mut a)?;
+//! featurizer.features(&circle(7.0), &mut b)?;
+//! difference(&a, &b, &mut a_minus_b);
+//!
+//! let radius = names.iter().position(|name| *name == "circle_radius").unwrap();
+//! assert!((a_minus_b[radius] - 2.0).abs() < 1e-5);
+//! let size = names.iter().position(|name| *name == "size").unwrap();
+//! assert_eq!(a_minus_b[size], 0.0);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod campus;
 mod lanes;
@@ -19,10 +48,10 @@ pub use stability::{stability, thinned};
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "FeaturizeOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Which features.
+    /// The feature set.
     pub set: FeatureSet,
-    /// Of `paper16`: a step between neighbouring returns longer than this separates two groups \[m\]
-    /// (Granstroem et al. 2009, "Learning to detect loop closure from range data": 2.5 m).
+    /// For `paper16`: two neighbouring returns more than this far apart belong to different groups
+    /// \[m\]. Granstroem et al. 2009, "Learning to detect loop closure from range data", use 2.5 m.
     pub gate_m: f64,
 }
 
@@ -41,7 +70,7 @@ pub struct OptionError {
 }
 
 impl Options {
-    /// Refuses values out of range.
+    /// Checks that every value is in range.
     pub fn check(&self) -> Result<(), OptionError> {
         if self.gate_m.is_finite() && 0.0 < self.gate_m {
             Ok(())
@@ -58,7 +87,7 @@ impl Options {
 pub enum FeatureSet {
     /// The 16 features of the paper's Appendix A.
     Paper16,
-    /// What walls, gaps and openings look like from about a place, whichever way the scanner looks.
+    /// Walls, gaps and openings around the sensor, independent of the direction it faces.
     Campus,
 }
 
@@ -71,7 +100,7 @@ impl FeatureSet {
         }
     }
 
-    /// Version of the definitions; a model of another version does not fit.
+    /// Version of the definitions. A model trained with another version cannot be used.
     pub fn version(self) -> u32 {
         match self {
             Self::Paper16 | Self::Campus => 1,
@@ -87,17 +116,17 @@ impl FeatureSet {
     }
 }
 
-/// Computes the features of a set, of one scan after another, reusing its memory.
+/// Computes the features of a set for one scan after another. It reuses its memory.
 #[derive(Debug, Clone)]
 pub enum Featurizer {
-    /// Those of [`FeatureSet::Paper16`].
+    /// Computes [`FeatureSet::Paper16`].
     Paper16(Paper16),
-    /// Those of [`FeatureSet::Campus`].
+    /// Computes [`FeatureSet::Campus`].
     Campus(Box<Campus>),
 }
 
 impl Featurizer {
-    /// For the set and the gate of the options.
+    /// Uses the set and the gate of the options.
     pub fn new(options: &Options) -> Self {
         match options.set {
             FeatureSet::Paper16 => Self::Paper16(Paper16::new(options.gate_m)),
@@ -105,10 +134,11 @@ impl Featurizer {
         }
     }
 
-    /// Writes the features of a scan, in the order of [`FeatureSet::feature_names`]; always finite.
+    /// Writes the features of a scan to `features`, in the order of [`FeatureSet::feature_names`].
+    /// They are always finite.
     ///
     /// # Panics
-    /// If `features` does not have the set's length.
+    /// Panics if `features` does not have one element per feature of the set.
     pub fn features(&mut self, scan: &Scan, features: &mut [f64]) -> Result<(), Unusable> {
         match self {
             Self::Paper16(paper16) => features.copy_from_slice(&paper16.features(scan)?),
@@ -118,9 +148,8 @@ impl Featurizer {
     }
 }
 
-/// Writes `|a - b|`, feature by feature, to `difference`.
-///
-/// All three have the set's length.
+/// Writes `|a - b|`, feature by feature, to `difference`. All three slices must have one element
+/// per feature of the set.
 pub fn difference(a: &[f64], b: &[f64], difference: &mut [f64]) {
     for ((difference, a), b) in difference.iter_mut().zip(a).zip(b) {
         *difference = (a - b).abs();

@@ -1,10 +1,11 @@
-//! The 16 features of the paper (Appendix A), as DESIGN, "The 16 features", decides what the
-//! paper leaves open.
+//! The 16 features of the paper (Appendix A). docs/features.md, "`paper16` v1", contains the
+//! formulas and the choices that the paper leaves open.
 //!
-//! Notation: `n` returns `p_i` in measured order, `mu` their mean, `r_i` their ranges. A step
-//! leads from a return to the next; `d_i` is its length and `a_i` the angle it subtends at the
-//! sensor. A closed ring has `m = n` steps, the last one back to the first return; an open scan
-//! has `m = n - 1`. `g` is the gate. Sample deviations divide by count - 1.
+//! Notation: there are `n` returns `p_i` in measured order, with mean `mu` and ranges `r_i`. A step
+//! leads from one return to the next; `d_i` is its length and `a_i` is the angle between the two
+//! returns, seen from the sensor. A closed ring has `m = n` steps, and the last step leads back to
+//! the first return. An open scan has `m = n - 1` steps. `g` is the gate. Sample standard deviations
+//! divide by the count minus 1.
 
 use dataset::{Scan, Unusable};
 
@@ -30,14 +31,15 @@ pub const PAPER16_NAMES: [&str; 16] = [
     "std_of_ranges",
 ];
 
-/// Computes the features of one scan after another, reusing its memory.
+/// Computes the features of one scan after another. It reuses its memory.
 ///
-/// Each step of the work runs over whole columns, so that it runs on vectors.
+/// Each step of the computation runs over whole columns, so the compiler can use vector
+/// instructions.
 #[derive(Debug, Clone)]
 pub struct Paper16 {
     gate_m: f64,
-    /// Coordinates of the returns; in a ring the first ones again behind the last, as many as a step
-    /// or a triple reaches over the end.
+    /// Coordinates of the returns \[m\]. In a ring, the first returns are repeated after the last
+    /// one, as many as a step or a triple needs to cross the end.
     x: Vec<f64>,
     y: Vec<f64>,
     steps_m: Vec<f64>,
@@ -48,7 +50,7 @@ pub struct Paper16 {
 }
 
 impl Paper16 {
-    /// `gate_m` separates groups; see [`Options::gate_m`](crate::Options::gate_m).
+    /// See [`Options::gate_m`](crate::Options::gate_m) for the meaning of `gate_m`.
     pub fn new(gate_m: f64) -> Self {
         Self {
             gate_m,
@@ -62,20 +64,20 @@ impl Paper16 {
         }
     }
 
-    /// The features of a scan, in the order of [`PAPER16_NAMES`]; always finite.
+    /// The features of a scan, in the order of [`PAPER16_NAMES`]. They are always finite.
     ///
-    /// Angles in rad, lengths in m, areas in m^2, curvatures in 1/m.
+    /// Angles are in rad, lengths in m, areas in m^2, curvatures in 1/m.
     pub fn features(&mut self, scan: &Scan) -> Result<[f64; 16], Unusable> {
         #[cfg(target_arch = "x86_64")]
         if std::arch::is_x86_feature_detected!("avx2") {
-            // SAFETY: the processor has AVX2, which is all that the function asks for.
+            // SAFETY: the function only requires AVX2, and the processor has it.
             return unsafe { self.features_avx2(scan) };
         }
         self.compute(scan)
     }
 
-    /// The same steps on wider vectors. The bits are the same: each operation is rounded by itself,
-    /// and sums have their lanes whatever the width.
+    /// The same computation with wider vectors. The bits are the same: each operation is rounded
+    /// separately, and the number of lanes in a sum does not depend on the width of the vectors.
     #[cfg(target_arch = "x86_64")]
     #[target_feature(enable = "avx2")]
     fn features_avx2(&mut self, scan: &Scan) -> Result<[f64; 16], Unusable> {
@@ -147,7 +149,7 @@ impl Paper16 {
         ])
     }
 
-    /// Lengths d_i, |p_i x p_i+1| and angles a_i of the steps.
+    /// Computes the lengths d_i, the cross products |p_i x p_i+1| and the angles a_i of the steps.
     #[inline(always)]
     fn measure_steps(&mut self, is_ring: bool) {
         let Self { x, y, steps_m, crosses, angles_rad, .. } = self;
@@ -162,7 +164,7 @@ impl Paper16 {
         fill(angles_rad, ends, |[x, y, next_x, next_y]| {
             (x * next_y - next_x * y).abs() / (x * next_x + y * next_y)
         });
-        // -0.0 is an angle of 180 deg; NaN one at the sensor itself.
+        // -0.0 means an angle of 180 deg. NaN means that a return is at the sensor itself.
         let is_small = |t: f64| t.is_sign_positive() && t < SMALL_TANGENT;
         let all_small = count(angles_rad, is_small) == m;
         if all_small {
@@ -185,11 +187,11 @@ impl Paper16 {
     ///                    2
     /// ```
     ///
-    /// The points must not be on one line, so that the determinant is positive. The scan itself is
-    /// asked only where the determinant leaves a doubt.
+    /// The determinant is positive unless all points are on one line. `Scan::check_usable` decides
+    /// about that, but only if the determinant is too small to be sure.
     #[inline(always)]
     fn fit_circle(&self, scan: &Scan, mu: [f64; 2]) -> Result<Circle, Unusable> {
-        // One sum after another: each runs on vectors, five at once would not.
+        // A separate loop for each sum: the compiler would not vectorise five sums in one loop.
         let points = [&self.x[..], &self.y[..]];
         let about = |[x, y]: [f64; 2]| (x - mu[0], y - mu[1]);
         let [suu] = sums(points, |p| [about(p).0 * about(p).0]);
@@ -199,8 +201,8 @@ impl Paper16 {
         let [bu] = sums(points, |p| [about(p).0 * square(p)]);
         let [bv] = sums(points, |p| [about(p).1 * square(p)]);
         let (det, trace) = (suu * svv - suv * suv, suu + svv);
-        let is_clear = det.is_finite() && CLEARLY_NOT_ONE_LINE * trace * trace < det;
-        if !is_clear {
+        let is_certain = det.is_finite() && CLEARLY_NOT_ONE_LINE * trace * trace < det;
+        if !is_certain {
             scan.check_usable()?;
         }
         let uc = 0.5 * (bu * svv - bv * suv) / det;
@@ -209,13 +211,14 @@ impl Paper16 {
         Ok(Circle { centre: [mu[0] + uc, mu[1] + vc], radius, squared_deviations: trace })
     }
 
-    /// Menger curvature 4 A / (a b c) of the triples (i - s, i, i + s), A the triangle's area and
-    /// a, b, c its sides, over the triples with all sides in (0, g]; 0 where there is none.
+    /// Menger curvatures 4 A / (a b c) of the triples (i - s, i, i + s), where A is the area of the
+    /// triangle and a, b, c are its sides. Only triples with all sides in (0, g] count. Without any,
+    /// the result is 0.
     #[inline(always)]
     fn menger_curvatures(&mut self, n: usize, is_ring: bool, stride: usize) -> MeanStd {
         let Self { gate_m, x, y, scratch, squares, .. } = self;
         let gate_m = *gate_m;
-        // Around the ring, as often as it takes.
+        // In a ring, a stride longer than the ring wraps around.
         let stride = if is_ring { stride % n } else { stride };
         let n_triples = if is_ring { n } else { n.saturating_sub(stride.saturating_mul(2)) };
         if n_triples == 0 {
@@ -234,7 +237,7 @@ impl Paper16 {
         let [x0, y0, x1, y1] = [x0, y0, x1, y1].map(|column| &column[..n_triples]);
         let [x2, y2] = [&x[2 * stride..][..n_triples], &y[2 * stride..][..n_triples]];
         let [a2, b2] = [&squares[..n_triples], &squares[stride..][..n_triples]];
-        // In squares: one root for the three sides.
+        // With squared lengths, the three sides need only one square root.
         let gate = gate_m * gate_m;
         let within = |square: f64| (0.0 < square) & (square <= gate);
         fill(scratch, [x0, y0, x1, y1, x2, y2, a2, b2], |[x0, y0, x1, y1, x2, y2, a2, b2]| {
@@ -244,8 +247,9 @@ impl Paper16 {
             if within(a2) & within(b2) & within(c2) { curvature } else { NO_CURVATURE }
         });
         let is_curvature = |v: f64| 0.0 <= v;
-        let [n_within, sum] =
-            sums([scratch], |[v]| [f64::from(is_curvature(v)), if is_curvature(v) { v } else { 0.0 }]);
+        let [n_within, sum] = sums([scratch], |[v]| {
+            [f64::from(is_curvature(v)), if is_curvature(v) { v } else { 0.0 }]
+        });
         if n_within < 1.0 {
             return MeanStd { mean: 0.0, std: 0.0 };
         }
@@ -259,14 +263,15 @@ impl Paper16 {
     }
 }
 
-/// Stands for a triple with a side beyond the gate; curvatures are 0 or more.
+/// Marks a triple with a side outside (0, g]. Curvatures are 0 or more.
 const NO_CURVATURE: f64 = -1.0;
 
-/// det / trace^2 of the scatter matrix from which points are on no line whatever the rounding; ten
-/// times what [`Scan::check_usable`] asks for.
+/// If det / trace^2 of the scatter matrix is more than this, the points are certainly not on one
+/// line, whatever the rounding. It is ten times the limit of [`Scan::check_usable`].
 const CLEARLY_NOT_ONE_LINE: f64 = 1e-11;
 
-/// Tangents below this are angles by four terms: the fifth, t^9 / 9, is less than 1e-17 of t.
+/// For tangents below this, four terms of the series of atan are enough: the fifth term, t^9 / 9,
+/// is less than 1e-17 of t.
 const SMALL_TANGENT: f64 = 0.009;
 
 /// atan t = t - t^3 / 3 + t^5 / 5 - t^7 / 7, for t below [`SMALL_TANGENT`].
@@ -292,8 +297,8 @@ fn length(dx: f64, dy: f64) -> f64 {
     square(dx, dy).sqrt()
 }
 
-/// Square root of the sum of squared deviations over count - 1, of values whose sum is known; 0 for
-/// fewer than 2.
+/// Sample standard deviation: the square root of the sum of squared deviations over count - 1.
+/// `sum` is the sum of the values. 0 for fewer than 2 values.
 #[inline(always)]
 fn sample_std(values: &[f64], sum: f64) -> f64 {
     if values.len() < 2 {
@@ -305,7 +310,7 @@ fn sample_std(values: &[f64], sum: f64) -> f64 {
 struct Circle {
     centre: [f64; 2],
     radius: f64,
-    /// Suu + Svv, of the points from their mean.
+    /// Suu + Svv: the sum of squared distances of the points from their mean.
     squared_deviations: f64,
 }
 
@@ -314,14 +319,14 @@ struct MeanStd {
     std: f64,
 }
 
-/// How many returns make about one degree: max(1, round(1 deg / median a_i)). None where the
-/// median is 0: returns that lie behind one another span no angle, however many.
+/// The number of returns in about one degree: max(1, round(1 deg / median a_i)). `None` if the
+/// median is 0, because returns in the same direction span no angle, no matter how many there are.
 #[inline(always)]
 fn curvature_stride(angles_rad: &[f64], scratch: &mut Vec<f64>) -> Option<usize> {
     let one = 1f64.to_radians();
     let stride_of = |median: f64| ((one / median).round() as usize).max(1);
-    // The median of a few gives a guess; where both middle angles lie well within what the guess
-    // stands for, it is right, and nothing has to be sorted.
+    // The median of a few angles gives a guess. If both middle angles of all are well within the
+    // range of angles that give the guessed stride, the guess is right and nothing is sorted.
     refill(scratch, angles_rad.iter().copied().step_by(SAMPLE_STEP));
     let guess = median(scratch);
     if 0.0 < guess {
@@ -340,10 +345,12 @@ fn curvature_stride(angles_rad: &[f64], scratch: &mut Vec<f64>) -> Option<usize>
     (0.0 < median).then(|| stride_of(median))
 }
 
-/// Of so many angles one makes the guess.
+/// One angle in this many is used for the guess.
 const SAMPLE_STEP: usize = 32;
 
-/// The middle value, or the mean of the two middle ones; reorders the values.
+/// The middle value, or the mean of the two middle values. Reorders the values.
+///
+/// `dataset::quantile` would need sorted values. Selecting the middle one is faster.
 fn median(values: &mut [f64]) -> f64 {
     let (middle, is_odd) = (values.len() / 2, values.len() % 2 == 1);
     let (below, upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
@@ -359,8 +366,8 @@ fn median(values: &mut [f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Rooms of any number of returns, with people and gaps; on a processor without AVX2 both are
-    /// the same by themselves.
+    /// Rooms with any number of returns, with people and gaps. On a processor without AVX2 both
+    /// results come from the same code.
     #[test]
     fn wider_vectors_give_the_same_bits() {
         let mut features = Paper16::new(2.5);

@@ -1,40 +1,43 @@
-//! How far features move when a scanner turns twice as fast.
+//! How much features change when the scanner spins twice as fast.
 
 use dataset::{Scan, Unusable};
 
 use crate::{Featurizer, Options};
 
-/// Of each feature the median of |f - f of every other return|, as a share of the interquartile
-/// range of f over the scans, `(n_features,)`; 0 where a feature never moves, infinite where it
-/// moves and half of the scans have one value. Scans of which no features can be computed, whole or
-/// thinned, are left out; the values are NaN where none is left.
+/// How much each feature changes when every other return is removed, `(n_features,)`. The result is
+/// the median of |f - f of the thinned scan| over the scans, divided by the interquartile range of f
+/// over the scans.
+///
+/// The result is 0 if a feature never changes. It is infinite if a feature changes and half of the
+/// scans share one value. A scan is left out if no features can be computed from it or from its
+/// thinned copy. The results are NaN if no scan is left.
 pub fn stability<'a>(options: &Options, scans: impl IntoIterator<Item = &'a Scan>) -> Vec<f64> {
     let n_features = options.set.feature_names().len();
     let mut featurizer = Featurizer::new(options);
     let mut columns = vec![(Vec::new(), Vec::new()); n_features];
-    let (mut whole, mut half) = (vec![0.0; n_features], vec![0.0; n_features]);
+    let (mut full, mut half) = (vec![0.0; n_features], vec![0.0; n_features]);
     for scan in scans {
-        let mut both = || -> Result<(), Unusable> {
-            featurizer.features(scan, &mut whole)?;
+        let mut compute_both = || -> Result<(), Unusable> {
+            featurizer.features(scan, &mut full)?;
             featurizer.features(&thinned(scan), &mut half)
         };
-        if both().is_err() {
+        if compute_both().is_err() {
             continue;
         }
-        for (((values, moves), f), g) in columns.iter_mut().zip(&whole).zip(&half) {
+        for (((values, changes), f), g) in columns.iter_mut().zip(&full).zip(&half) {
             values.push(*f);
-            moves.push((f - g).abs());
+            changes.push((f - g).abs());
         }
     }
-    let relative = |(mut values, mut moves): (Vec<f64>, Vec<f64>)| {
+    let relative = |(mut values, mut changes): (Vec<f64>, Vec<f64>)| {
         let range = quantile(&mut values, 0.75) - quantile(&mut values, 0.25);
-        let moved = quantile(&mut moves, 0.5);
-        if moved.abs() < f64::MIN_POSITIVE { moved } else { moved / range }
+        let change = quantile(&mut changes, 0.5);
+        if change.abs() < f64::MIN_POSITIVE { change } else { change / range }
     };
     columns.into_iter().map(relative).collect()
 }
 
-/// Every other return, from the first.
+/// The scan with every other return removed. The first return stays.
 pub fn thinned(scan: &Scan) -> Scan {
     let every_other = |values: &[f32]| values.iter().copied().step_by(2).collect();
     Scan { x_m: every_other(&scan.x_m), y_m: every_other(&scan.y_m), ..scan.clone() }
@@ -59,9 +62,9 @@ mod tests {
         assert!(quantile(&mut [], 0.5).is_nan());
     }
 
-    /// Circles of 200 and more returns: thinning halves `size`, and leaves `circle_radius` alone.
-    /// Sizes 200, 240, 280, 320 and 360 have the quartiles 240 and 320, and move by 140 in the
-    /// median: 140 / 80.
+    /// For circles of 200 and more returns, thinning halves `size` and does not change
+    /// `circle_radius`. The sizes 200, 240, 280, 320 and 360 have the quartiles 240 and 320, and
+    /// their median change is 140, hence 140 / 80.
     #[test]
     fn thinning_halves_the_size_and_keeps_the_radius() {
         let circle = |n: usize| {

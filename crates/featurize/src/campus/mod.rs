@@ -1,10 +1,10 @@
-//! The feature set `campus` v1: what a place looks like from within a metre or two, whoever walks
-//! by, however fast the scanner turns and whichever way it looks. docs/features.md gives each
-//! feature its formula, unit, source and reason.
+//! The feature set `campus` v1. It describes a place, and changes little when the sensor moves by a
+//! metre or two, when people walk past, when the scanner spins faster, or when it faces another
+//! direction. docs/features.md contains the formula, unit, source and reason of each feature.
 //!
-//! All features are of the range signature, the mean logarithm of the range by degree of azimuth,
-//! so that the number of returns hardly counts; whether a wall is near is a share of angle or of
-//! wall. Histograms are soft: a value is dealt to the two centres about it.
+//! All features are computed from the range signature, the mean logarithm of the range in each
+//! degree of azimuth. The number of returns therefore has little effect. Histograms are soft: a
+//! value is split between the two bin centres next to it.
 
 mod signature;
 mod walls;
@@ -19,7 +19,7 @@ const N: usize = 109;
 
 /// Names, in order; the columns of `features.parquet`.
 pub const CAMPUS_NAMES: [&str; N] = [
-    // Share of the angle by range: 13 centres, a factor of sqrt 2 apart.
+    // Share of the angle by range, with 13 bin centres, a factor of sqrt 2 apart.
     "range_0_7m",
     "range_1m",
     "range_1_4m",
@@ -45,7 +45,7 @@ pub const CAMPUS_NAMES: [&str; N] = [
     "chord_p90",
     "chord_p95",
     "chord_p100",
-    // How unlike opposite ranges are.
+    // How much opposite ranges differ.
     "oddness_mean",
     "oddness_spread",
     // Percentiles of ln of r(a) + r(a + 90 deg).
@@ -56,21 +56,21 @@ pub const CAMPUS_NAMES: [&str; N] = [
     "quarter_p75",
     "quarter_p90",
     "quarter_p100",
-    // ln of the deviation of ranges cut off at a limit.
+    // ln of the standard deviation of ranges capped at a limit.
     "spread_2m",
     "spread_4m",
     "spread_8m",
     "spread_16m",
-    // Share of the sectors of 5 deg with a return.
+    // Share of the 5 deg sectors with a return.
     "seen",
-    // Share of the degrees by step of ln r to the next.
+    // Share of the degrees by the change of ln r to the next degree.
     "step_0_01",
     "step_0_03",
     "step_0_1",
     "step_0_3",
     "step_1",
     "step_3",
-    // ln of 1 + number of gaps in the wall, by width.
+    // ln of (1 + number of gaps in the wall), by width.
     "gaps_0_6m",
     "gaps_1m",
     "gaps_1_6m",
@@ -78,7 +78,7 @@ pub const CAMPUS_NAMES: [&str; N] = [
     "gaps_4m",
     "gaps_7m",
     "gaps_15m",
-    // ln of 1 + metres of wall, by the length of the run between two gaps.
+    // ln of (1 + metres of wall), by the length of the run between two gaps.
     "runs_0_2m",
     "runs_0_5m",
     "runs_1m",
@@ -87,7 +87,7 @@ pub const CAMPUS_NAMES: [&str; N] = [
     "runs_8m",
     "runs_16m",
     "runs_32m",
-    // Root of the share of pairs of wall pieces that face each other, by distance; of all.
+    // Square root of the share of pairs of wall pieces that face each other: by distance, and all.
     "facing_0_5m",
     "facing_1m",
     "facing_1_4m",
@@ -106,7 +106,7 @@ pub const CAMPUS_NAMES: [&str; N] = [
     "facing_20m",
     "facing_30m",
     "facing",
-    // Share by offset, of pairs of pieces that look the same way.
+    // Pairs of pieces that face the same way: shares by offset.
     "offset_0m",
     "offset_0_1m",
     "offset_0_25m",
@@ -118,7 +118,7 @@ pub const CAMPUS_NAMES: [&str; N] = [
     "offset_4m",
     "offset_7m",
     "offset_12m",
-    // Share by distance, of pairs that face each other right across.
+    // Pairs of pieces that face each other directly: shares by distance.
     "across_1m",
     "across_1_4m",
     "across_1_7m",
@@ -131,9 +131,9 @@ pub const CAMPUS_NAMES: [&str; N] = [
     "across_7m",
     "across_10m",
     "across_15m",
-    // Root of the share of pairs at right angles.
+    // Square root of the share of pairs at right angles.
     "perpendicular",
-    // ln of chords along and across the main direction of the walls, and on its diagonals.
+    // ln of chords along the main direction of the walls, across it, and on its diagonals.
     "main_longest",
     "main_median",
     "cross_longest",
@@ -144,7 +144,7 @@ pub const CAMPUS_NAMES: [&str; N] = [
     "axis_longer",
 ];
 
-/// Computes the features of one scan after another, reusing its memory.
+/// Computes the features of one scan after another. It reuses its memory.
 #[derive(Debug, Clone, Default)]
 pub struct Campus {
     signature: Signature,
@@ -153,12 +153,12 @@ pub struct Campus {
 }
 
 impl Campus {
-    /// One for any number of scans.
+    /// Creates an instance that can be used for any number of scans.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The features of a scan, in the order of [`CAMPUS_NAMES`]; always finite.
+    /// The features of a scan, in the order of [`CAMPUS_NAMES`]. They are always finite.
     pub fn features(&mut self, scan: &Scan) -> Result<[f64; N], Unusable> {
         scan.check_usable()?;
         self.signature.measure(scan);
@@ -173,7 +173,7 @@ impl Campus {
     }
 }
 
-/// Features not yet written.
+/// The part of the feature vector that is not yet written.
 struct Out<'a> {
     rest: &'a mut [f64],
 }
@@ -187,7 +187,8 @@ impl Out<'_> {
     }
 }
 
-/// Deals a weight to the two centres about a value, linearly; beyond the ends, to the end.
+/// Splits a weight linearly between the two bin centres next to a value. A value outside the centres
+/// goes to the first or last bin.
 #[inline]
 fn add_soft<const N: usize>(histogram: &mut [f64; N], centres: &[f64; N], value: f64, weight: f64) {
     if value <= centres[0] {
@@ -205,13 +206,14 @@ fn add_soft<const N: usize>(histogram: &mut [f64; N], centres: &[f64; N], value:
     }
 }
 
-/// Divides by the sum, where that is more than rounding.
+/// Divides by the sum. Where the sum is only rounding error, compared with `unit`, the shares stay
+/// about 0.
 fn shares<const N: usize>(histogram: [f64; N], unit: f64) -> [f64; N] {
     let sum = (histogram.iter().sum::<f64>() / unit).max(1e-9) * unit;
     histogram.map(|h| h / sum)
 }
 
-/// Percentiles \[%\] of sorted values, linear between neighbours.
+/// Percentiles \[%\] of sorted values, interpolated linearly between neighbours.
 fn percentiles<const N: usize>(sorted: &[f64], percents: &[f64; N]) -> [f64; N] {
     percents.map(|percent| {
         let place = (sorted.len() - 1) as f64 * percent / 100.0;
@@ -221,7 +223,7 @@ fn percentiles<const N: usize>(sorted: &[f64], percents: &[f64; N]) -> [f64; N] 
     })
 }
 
-/// The natural logarithms of centres.
+/// Natural logarithms, for bin centres.
 fn ln_all<const N: usize>(values: [f64; N]) -> [f64; N] {
     values.map(libm::log)
 }
@@ -230,9 +232,9 @@ fn ln_all<const N: usize>(values: [f64; N]) -> [f64; N] {
 mod tests {
     use super::*;
 
-    /// 3 lies half way between 2 and 4, 0 and 9 beyond the ends.
+    /// 3 is halfway between 2 and 4. 0 and 9 are outside the centres.
     #[test]
-    fn a_value_is_dealt_to_the_centres_about_it() {
+    fn a_weight_is_split_between_the_two_centres_next_to_the_value() {
         let mut histogram = [0.0; 3];
         for (value, weight) in [(3.0, 1.0), (0.0, 2.0), (9.0, 4.0), (2.0, 8.0), (1.75, 16.0)] {
             add_soft(&mut histogram, &[1.0, 2.0, 4.0], value, weight);
@@ -241,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn percentiles_lie_between_neighbours() {
+    fn percentiles_are_interpolated_between_neighbours() {
         assert_eq!(percentiles(&[1.0, 2.0, 4.0], &[0.0, 25.0, 75.0, 100.0]), [1.0, 1.5, 3.0, 4.0]);
         assert_eq!(percentiles(&[7.0], &[0.0, 50.0, 100.0]), [7.0; 3]);
     }

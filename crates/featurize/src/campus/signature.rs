@@ -1,18 +1,19 @@
-//! The range signature: mean ln r by degree of azimuth; what is told by it alone.
+//! The range signature: the mean ln r in each degree of azimuth, and the features that need nothing
+//! else.
 
 use dataset::Scan;
 
 use super::{Out, add_soft, ln_all, percentiles};
 
-/// A quarter of a turn, in bins.
+/// 90 deg in bins.
 const QUARTER: usize = 90;
 const CHORD_PERCENTS: [f64; 11] = [0., 5., 10., 25., 40., 50., 60., 75., 90., 95., 100.];
 const QUARTER_PERCENTS: [f64; 7] = [0., 10., 25., 50., 75., 90., 100.];
 const SPREAD_LIMITS_M: [f64; 4] = [2.0, 4.0, 8.0, 16.0];
 const STEPS: [f64; 6] = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0];
-/// Bins of a sector.
+/// Number of bins in a sector.
 const SECTOR: usize = 5;
-/// Where in its bin the first beam of an open scan falls, as a share of the bin.
+/// Position of the first beam of an open scan within its bin, as a share of the bin width.
 const BORDER: f64 = 0.3;
 
 #[derive(Debug, Clone, Default)]
@@ -21,11 +22,11 @@ pub(super) struct Signature {
     pub(super) is_ring: bool,
     /// Mean ln r \[ln m\] by bin, `(n_bins,)`.
     pub(super) ln_r: Vec<f64>,
-    /// exp of these \[m\].
+    /// exp of `ln_r` \[m\].
     pub(super) r: Vec<f64>,
-    /// The middle of each bin at its range \[m\].
+    /// The point in the middle of each bin, at the range of the bin \[m\].
     pub(super) points: Vec<[f64; 2]>,
-    /// ln of r(a) + r(a + 180 deg) \[ln m\], `(n_bins / 2,)`; none where the scan is open.
+    /// ln of r(a) + r(a + 180 deg) \[ln m\], `(n_bins / 2,)`; empty for an open scan.
     pub(super) chords: Vec<f64>,
     /// Share of the sectors with a return.
     seen: f64,
@@ -39,24 +40,24 @@ struct Polar {
     ln_r: f64,
 }
 
-/// Where the bins lie.
+/// The azimuth bins.
 struct Bins {
     n: usize,
-    /// The lower border of the first \[deg\].
+    /// Lower border of the first bin \[deg\].
     first_deg: f64,
     width_deg: f64,
 }
 
 impl Signature {
-    /// Bins of 1 deg: of a ring 360 from azimuth 0; of an open scan one more than it sweeps
-    /// degrees, about the middle of its returns. An empty bin is filled between its neighbours, linearly in
-    /// ln r.
+    /// Computes the signature of a scan. A ring has 360 bins of 1 deg from azimuth 0. An open scan
+    /// has one bin more than the number of degrees it covers, centred on its returns. An empty bin
+    /// is interpolated between its neighbours, linearly in ln r.
     pub(super) fn measure(&mut self, scan: &Scan) {
         self.is_ring = scan.is_ring();
         self.returns.clear();
         let polar = |x: f64, y: f64| Polar {
             azimuth_deg: libm::atan2(y, x).to_degrees(),
-            // A return at the sensor itself has no azimuth either; 1 mm keeps it finite.
+            // A return at the sensor itself has no azimuth. The least range of 1 mm keeps ln r finite.
             ln_r: 0.5 * libm::log((x * x + y * y).max(1e-6)),
         };
         let bins = if self.is_ring {
@@ -67,17 +68,18 @@ impl Signature {
             }));
             Bins { n: 360, first_deg: 0.0, width_deg: 1.0 }
         } else {
-            // Azimuths from the mean direction, so that none is cut at 180 deg.
+            // Azimuths are relative to the mean direction, so the scan does not cross 180 deg.
             let (mut mx, mut my) = (0.0, 0.0);
             for [x, y] in scan.points() {
                 let r = (x * x + y * y).max(1e-6).sqrt();
                 mx += x / r;
                 my += y / r;
             }
-            let turned = |[x, y]: [f64; 2]| polar(mx * x + my * y, mx * y - my * x).azimuth_deg;
+            let azimuth_deg =
+                |[x, y]: [f64; 2]| polar(mx * x + my * y, mx * y - my * x).azimuth_deg;
             self.returns.extend(
                 scan.points()
-                    .map(|p| Polar { azimuth_deg: turned(p), ln_r: polar(p[0], p[1]).ln_r }),
+                    .map(|p| Polar { azimuth_deg: azimuth_deg(p), ln_r: polar(p[0], p[1]).ln_r }),
             );
             open_bins(&self.returns, f64::from(scan.coverage_deg))
         };
@@ -119,7 +121,7 @@ impl Signature {
         let is_full = |k: &usize| 0 < counts[*k];
         let (Some(first), Some(last)) = ((0..bins.n).find(is_full), (0..bins.n).rfind(is_full))
         else {
-            return; // a scan without returns is not usable
+            return; // unreachable: a scan without returns is not usable
         };
         let mut before = first;
         for k in first + 1..=last {
@@ -137,7 +139,8 @@ impl Signature {
         }
     }
 
-    /// Shares by range, chords, quarters, spreads, sectors seen and steps.
+    /// Writes the features `range_*`, `chord_*`, `oddness_*`, `quarter_*`, `spread_*`, `seen` and
+    /// `step_*`.
     pub(super) fn describe(&self, out: &mut Out<'_>, scratch: &mut Vec<f64>) {
         let n = self.ln_r.len();
         let one = 1.0 / n as f64;
@@ -187,9 +190,9 @@ impl Signature {
     }
 }
 
-/// Bins of about 1 deg, one more than the scan sweeps degrees, or than its returns do if that is
-/// more. Planar scanners fire at every half or whole degree: the borders keep clear of these, so
-/// that rounding does not decide which bin a return falls into.
+/// Bins of about 1 deg. There is one bin more than the number of degrees that the scan covers, or
+/// that its returns span if that is more. Planar scanners fire at each half or whole degree. The bin
+/// borders avoid these angles; otherwise rounding would decide which bin a return falls into.
 fn open_bins(returns: &[Polar], coverage_deg: f64) -> Bins {
     let azimuths = returns.iter().map(|p| p.azimuth_deg);
     let (low, high) =
@@ -201,7 +204,7 @@ fn open_bins(returns: &[Polar], coverage_deg: f64) -> Bins {
     Bins { n: n_swept as usize + 1, first_deg, width_deg }
 }
 
-/// Fills the bins between two full ones, taken round the ring.
+/// Interpolates the bins between two filled ones. Bin numbers wrap at `n`, for a ring.
 fn interpolate_bins(ln_r: &mut [f64], before: usize, after: usize, n: usize) {
     let (from, to) = (ln_r[before % n], ln_r[after % n]);
     for k in before + 1..after {
@@ -216,7 +219,7 @@ fn sort(scratch: &mut Vec<f64>, values: impl Iterator<Item = f64>) {
     scratch.sort_unstable_by(f64::total_cmp);
 }
 
-/// Mean and deviation; divides by the count.
+/// Mean and standard deviation. The deviation divides by the count.
 fn mean_deviation(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;

@@ -1,6 +1,6 @@
-//! What the walls tell: gaps in them, runs without one, how they face one another, and chords along
-//! them. Walls are weighted by their length, not by the angle they are seen under, so that little
-//! of this changes on a step to the side.
+//! Features of the walls: gaps, runs of wall without a gap, how pieces of wall face each other, and
+//! chords along the walls. Walls are weighted by their length, not by the angle that they cover as
+//! seen from the sensor. The features therefore change little when the sensor moves to the side.
 
 use super::signature::Signature;
 use super::{Out, add_soft, ln_all, shares};
@@ -11,33 +11,33 @@ const FACING_M: [f64; 17] =
     [0.5, 1.0, 1.4, 1.7, 2.0, 2.3, 2.6, 3.0, 3.5, 4.2, 5.0, 6.5, 8.5, 11.0, 15.0, 20.0, 30.0];
 const OFFSET_M: [f64; 11] = [0.0, 0.1, 0.25, 0.5, 0.8, 1.2, 1.8, 2.5, 4.0, 7.0, 12.0];
 const ACROSS_M: [f64; 12] = [1.0, 1.4, 1.7, 2.0, 2.3, 2.7, 3.2, 4.0, 5.0, 7.0, 10.0, 15.0];
-/// A step longer than this, or than [`GAP_SHARE`] of its range, is a gap \[m\].
+/// A step is a gap if it is longer than this and longer than [`GAP_SHARE`] of its range \[m\].
 const GAP_M: f64 = 0.5;
 const GAP_SHARE: f64 = 0.12;
-/// Pieces at less than this cosine are not parallel (45 deg).
+/// Two pieces are parallel if the cosine between them is at least this (about 45 deg).
 const PARALLEL_COS: f64 = 0.7;
-/// Pieces this far apart along the wall are not across \[m\].
+/// Two pieces face each other directly if they are less than this far apart along the wall \[m\].
 const ACROSS_ALONG_M: f64 = 3.0;
-/// Bins about an axis, on either side, that make its chords \[deg\].
+/// Number of bins on each side of an axis whose chords belong to the axis \[deg\].
 const WINDOW: usize = 4;
 
-/// A step from a bin to the next.
+/// A step from the point of one bin to the point of the next.
 #[derive(Debug, Clone, Copy)]
 struct Step {
     d: [f64; 2],
     middle: [f64; 2],
     length: f64,
-    /// Longest step that is a wall \[m\].
+    /// Longest step that counts as wall \[m\].
     limit: f64,
-    /// Metres of wall, about 0 for a gap.
+    /// Length of wall; about 0 for a gap \[m\].
     weight: f64,
 }
 
-/// One step of an open scan, two of a ring.
+/// A piece of wall: one step of an open scan, two steps of a ring.
 #[derive(Debug, Clone, Copy)]
 struct Piece {
     at: [f64; 2],
-    /// Along the wall, of length 1.
+    /// Direction of the wall, a unit vector.
     along: [f64; 2],
     weight: f64,
 }
@@ -60,7 +60,8 @@ impl Walls {
         self.pieces.extend(self.steps.chunks_exact(n).map(piece));
     }
 
-    /// Gaps, runs, and how pairs of pieces lie to each other.
+    /// Writes the features `gaps_*`, `runs_*`, `facing_*`, `offset_*`, `across_*` and
+    /// `perpendicular`.
     pub(super) fn describe(&self, signature: &Signature, out: &mut Out<'_>) {
         self.describe_gaps(signature.is_ring, out);
         let mut all = 0.0;
@@ -105,7 +106,7 @@ impl Walls {
         let mut run = |length: f64| {
             add_soft(&mut runs, &run_centres, libm::log(length + 1e-3), length);
         };
-        // On a ring what stands before the first gap goes on behind the last.
+        // In a ring, the wall before the first gap continues the wall after the last gap.
         let mut first = None;
         let mut length = 0.0;
         for step in &self.steps {
@@ -125,8 +126,9 @@ impl Walls {
         out.push(&runs.map(libm::log1p));
     }
 
-    /// Chords about the main direction of the walls: the angle that the fourth harmonic of their
-    /// directions gives, or across it, whichever more wall follows.
+    /// Writes the features of chords near the main direction of the walls. The phase of the fourth
+    /// harmonic of the wall directions gives two perpendicular axes. The main direction is the axis
+    /// that more wall is parallel to.
     pub(super) fn describe_chords(&self, signature: &Signature, out: &mut Out<'_>) {
         if !signature.is_ring {
             out.push(&[0.0; 8]);
@@ -140,20 +142,20 @@ impl Walls {
             re += step.weight * (x * x - y * y);
             im += step.weight * (2.0 * x * y);
         }
-        let turn = libm::atan2(im, re) / 4.0;
-        let axis = [libm::cos(turn), libm::sin(turn)];
+        let axis_rad = libm::atan2(im, re) / 4.0;
+        let axis = [libm::cos(axis_rad), libm::sin(axis_rad)];
         let (mut main, mut other) = (0.0, 0.0);
         for step in &self.steps {
             let squares = step.length * step.length;
             main += step.weight * pow8(dot(step.d, axis).powi(2) / squares);
             other += step.weight * pow8(cross(axis, step.d).powi(2) / squares);
         }
-        let right = if main < other { 90.0 } else { 0.0 };
+        let right_deg = if main < other { 90.0 } else { 0.0 };
         let n = signature.chords.len();
-        let k = (turn.to_degrees() + right).floor().rem_euclid(n as f64) as usize % n;
-        let window = |turn: usize| {
+        let k = (axis_rad.to_degrees() + right_deg).floor().rem_euclid(n as f64) as usize % n;
+        let window = |offset: usize| {
             let mut chords: [f64; 2 * WINDOW + 1] =
-                std::array::from_fn(|i| signature.chords[(k + turn + n + i - WINDOW) % n]);
+                std::array::from_fn(|i| signature.chords[(k + offset + n + i - WINDOW) % n]);
             chords.sort_unstable_by(f64::total_cmp);
             (chords[WINDOW], chords[2 * WINDOW])
         };
@@ -166,7 +168,7 @@ impl Walls {
 fn step(p: &[f64; 2], q: &[f64; 2]) -> Step {
     let d = [q[0] - p[0], q[1] - p[1]];
     let middle = [0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1])];
-    // Neighbours lie at different azimuths; the floor is for ranges that round to nothing.
+    // Neighbours have different azimuths, but ranges can round to 0; the least length covers that.
     let length = dot(d, d).sqrt().max(1e-9);
     let limit = GAP_M.max(GAP_SHARE * dot(middle, middle).sqrt());
     let weight = length / (1.0 + (length / limit).powi(4)) + 1e-9;
