@@ -36,7 +36,7 @@ mod lanes;
 mod paper16;
 mod stability;
 
-use dataset::{Scan, Unusable};
+use dataset::{OutOfRange, Scan, Unusable};
 use serde::{Deserialize, Serialize};
 
 pub use campus::{CAMPUS_NAMES, Campus};
@@ -61,21 +61,13 @@ impl Default for Options {
     }
 }
 
-/// An option out of range.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("`featurize.gate_m` is {gate_m}, expected more than 0")]
-pub struct OptionError {
-    /// The gate given.
-    pub gate_m: f64,
-}
-
 impl Options {
     /// Checks that every value is in range.
-    pub fn check(&self) -> Result<(), OptionError> {
+    pub fn check(&self) -> Result<(), OutOfRange> {
         if self.gate_m.is_finite() && 0.0 < self.gate_m {
             Ok(())
         } else {
-            Err(OptionError { gate_m: self.gate_m })
+            Err(OutOfRange::new("featurize.gate_m", self.gate_m, "more than 0"))
         }
     }
 }

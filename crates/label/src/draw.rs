@@ -2,7 +2,7 @@
 
 use std::collections::BinaryHeap;
 
-use dataset::Keyframe;
+use dataset::{Keyframe, SplitMix64};
 
 /// A pseudo-random key, then the pair it belongs to. Equal keys are ordered by the pair.
 type Keyed = (u64, usize, usize);
@@ -64,13 +64,9 @@ pub(crate) fn name_hash(seed: u64, parts: &[&[u8]]) -> u64 {
     u64::from_le_bytes([a, b, c, d, e, f, g, h])
 }
 
-/// The key of a pair; exchanging `a` and `b` gives the same key. It is the finaliser of SplitMix64
-/// (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014), applied
-/// to the sum of both hashes.
+/// The key of a pair, the first output of [`SplitMix64`] for the sum of both hashes. Exchanging `a`
+/// and `b` gives the same key.
 #[inline]
 pub(crate) fn pair_key(a: u64, b: u64) -> u64 {
-    let mut z = a.wrapping_add(b).wrapping_add(0x9E37_79B9_7F4A_7C15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-    z ^ (z >> 31)
+    SplitMix64::new(a.wrapping_add(b)).next_u64()
 }

@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use dataset::{Keyframe, Label, Pair};
+use dataset::{Keyframe, Label, OutOfRange, Pair};
 use serde::{Deserialize, Serialize};
 
 use crate::LabelError;
@@ -91,12 +91,11 @@ pub fn assign_folds(
     pairs: &[Pair],
 ) -> Result<Folds, LabelError> {
     let FoldOptions { grouping, n_folds, place_m, seed } = *options;
-    let refuse = |key, found, expected| Err(LabelError::Option { key, found, expected });
     if n_folds < 2 {
-        return refuse("evaluate.folds", f64::from(n_folds), "2 or more");
+        return Err(OutOfRange::new("evaluate.folds", n_folds, "2 or more").into());
     }
     if !(place_m.is_finite() && 0.0 < place_m) {
-        return refuse("evaluate.place_m", place_m, "more than 0");
+        return Err(OutOfRange::new("evaluate.place_m", place_m, "more than 0").into());
     }
     // Use other keys than the draw of the pairs did: it kept the pairs with the smallest keys.
     let seed = seed ^ 0xF01D_5EED;

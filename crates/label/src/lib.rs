@@ -39,7 +39,7 @@ mod folds;
 
 use std::sync::Arc;
 
-use dataset::{FULL_RING_DEG, Keyframe, Label, Pair};
+use dataset::{FULL_RING_DEG, Keyframe, Label, OutOfRange, Pair};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -83,8 +83,9 @@ impl Default for Options {
 
 impl Options {
     /// Checks that every value is in range.
-    pub fn check(&self) -> Result<(), LabelError> {
-        let fail = |key, found, expected| Err(LabelError::Option { key, found, expected });
+    pub fn check(&self) -> Result<(), OutOfRange> {
+        let fail =
+            |key: &str, found: f64, expected: &str| Err(OutOfRange::new(key, found, expected));
         let is_valid = |value: f64| value.is_finite() && 0.0 <= value;
         if !is_valid(self.positive_radius_m) {
             return fail("label.positive_radius_m", self.positive_radius_m, "0 or more");
@@ -145,16 +146,9 @@ pub enum LabelError {
         /// What the user can change.
         remedy: String,
     },
-    /// An option out of range.
-    #[error("`{key}` is {found}, expected {expected}")]
-    Option {
-        /// The option.
-        key: &'static str,
-        /// Its value.
-        found: f64,
-        /// What it must be.
-        expected: &'static str,
-    },
+    /// An option is out of range.
+    #[error(transparent)]
+    OutOfRange(#[from] OutOfRange),
     /// There are too few groups to hold one out.
     #[error(
         "grouping `{grouping}` needs 2 {groups} or more, found {found}; add logs, or leave `{grouping}` out of `evaluate.groupings`"

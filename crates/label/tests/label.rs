@@ -313,7 +313,6 @@ fn an_option_out_of_range_is_reported_by_name() {
     assert_eq!(least.check(), Ok(()));
     let check_refused = |options: Options, name: &str| {
         let refused = options.check().unwrap_err();
-        assert!(matches!(refused, LabelError::Option { .. }), "{refused}");
         assert!(refused.to_string().starts_with(&format!("`label.{name}` is ")), "{refused}");
         assert_eq!(label(&options, 7, &[]).unwrap_err().to_string(), refused.to_string());
     };

@@ -35,7 +35,7 @@
 
 use std::sync::Arc;
 
-use dataset::{Dropped, Keyframe, Pose2, ScanId, Trajectory};
+use dataset::{Keyframe, LossKind, Losses, NoPose, OutOfRange, Pose2, ScanId, Trajectory};
 use serde::{Deserialize, Serialize};
 
 /// The section `[subsample]`.
@@ -63,12 +63,12 @@ impl Default for Options {
 
 impl Options {
     /// Checks that every value is in range.
-    pub fn check(&self) -> Result<(), SubsampleError> {
+    pub fn check(&self) -> Result<(), OutOfRange> {
         let (spacing, gap) = (self.spacing_m, self.max_pose_gap_secs);
         check_option("spacing_m", spacing, 0.0 < spacing, "more than 0")?;
         if let Some(turn) = self.turn_deg {
-            let good = 0.0 < turn && turn <= 180.0;
-            check_option("turn_deg", turn, good, "more than 0 and at most 180")?;
+            let is_in_range = 0.0 < turn && turn <= 180.0;
+            check_option("turn_deg", turn, is_in_range, "more than 0 and at most 180")?;
         }
         check_option("max_pose_gap_secs", gap, 0.0 <= gap, "0 or more")
     }
@@ -112,7 +112,7 @@ pub enum SubsampleError {
     },
     /// No scan has a pose and is usable.
     #[error(
-        "log `{log}`: none of its {n_scans} scans could be kept ({dropped}); check that lidar and poses are stamped by the same clock, and check `subsample.max_pose_gap_secs` and the lidar's range limits"
+        "log `{log}`: none of its {n_scans} scans could be kept ({losses}); check that lidar and poses are stamped by the same clock, and check `subsample.max_pose_gap_secs` and the lidar's range limits"
     )]
     NoKeyframes {
         /// The log.
@@ -120,18 +120,11 @@ pub enum SubsampleError {
         /// Number of scans in the log.
         n_scans: usize,
         /// What was dropped, with counts.
-        dropped: Dropped,
+        losses: Losses,
     },
-    /// An option out of range.
-    #[error("`subsample.{key}` is {found}, expected {expected}")]
-    Option {
-        /// The option.
-        key: &'static str,
-        /// Its value.
-        found: f64,
-        /// What it must be.
-        expected: &'static str,
-    },
+    /// An option is out of range.
+    #[error(transparent)]
+    OutOfRange(#[from] OutOfRange),
 }
 
 /// Selects the keyframes of one log, and counts what was dropped.
@@ -148,7 +141,7 @@ pub fn subsample(
     site: &Arc<str>,
     candidates: &[Candidate],
     trajectory: &Trajectory,
-) -> Result<(Vec<Keyframe>, Dropped), SubsampleError> {
+) -> Result<(Vec<Keyframe>, Losses), SubsampleError> {
     options.check()?;
     check_moves(options, log, trajectory)?;
     let turn_rad = options.turn_deg.map_or(f64::INFINITY, f64::to_radians);
@@ -157,12 +150,12 @@ pub fn subsample(
     let mut by_stamp: Vec<&Candidate> = candidates.iter().collect();
     by_stamp.sort_by_key(|candidate| (candidate.stamp_ns, candidate.scan));
     let mut keyframes: Vec<Keyframe> = Vec::new();
-    let mut dropped = Dropped::default();
+    let mut losses = Losses::default();
     for candidate in by_stamp {
         let stamped = match trajectory.stamped_pose_at(candidate.stamp_ns, max_gap_ns) {
             Ok(stamped) => stamped,
             Err(why) => {
-                dropped.add(format!("scans {why}"), 1);
+                losses.add(loss_kind(why), 1);
                 continue;
             }
         };
@@ -178,7 +171,7 @@ pub fn subsample(
             }
         };
         if !candidate.usable {
-            dropped.add("scans with fewer than 3 returns or all on one line", 1);
+            losses.add(LossKind::UnusableScans, 1);
             continue;
         }
         keyframes.push(Keyframe {
@@ -193,9 +186,9 @@ pub fn subsample(
     }
     if keyframes.is_empty() {
         let n_scans = candidates.len();
-        return Err(SubsampleError::NoKeyframes { log: log.clone(), n_scans, dropped });
+        return Err(SubsampleError::NoKeyframes { log: log.clone(), n_scans, losses });
     }
-    Ok((keyframes, dropped))
+    Ok((keyframes, losses))
 }
 
 /// Checks that some pose is `spacing_m` away from the first one, or turned from it by `turn_deg` if
@@ -222,16 +215,25 @@ fn check_moves(
     Err(SubsampleError::NeverMoves { log: log.clone(), n_poses, farthest_m, spacing_m })
 }
 
+/// The loss of a scan without a pose.
+fn loss_kind(why: NoPose) -> LossKind {
+    match why {
+        NoPose::BeforeFirst => LossKind::ScansBeforePoses,
+        NoPose::AfterLast => LossKind::ScansAfterPoses,
+        NoPose::Gap => LossKind::ScansInPoseGap,
+    }
+}
+
 fn check_option(
-    key: &'static str,
+    key: &str,
     found: f64,
-    good: bool,
-    expected: &'static str,
-) -> Result<(), SubsampleError> {
-    if good && found.is_finite() {
+    is_in_range: bool,
+    expected: &str,
+) -> Result<(), OutOfRange> {
+    if is_in_range && found.is_finite() {
         Ok(())
     } else {
-        Err(SubsampleError::Option { key, found, expected })
+        Err(OutOfRange::new(format!("subsample.{key}"), found, expected))
     }
 }
 
@@ -242,7 +244,7 @@ mod tests {
 
     /// Checks the scan numbers and travelled distances of the keyframes. The robot is at `x_m[k]` at
     /// second `k`, and there is a scan every half second.
-    fn check(x_m: &[f64], unusable: &[u32], expected: &[(u32, f64)]) -> Dropped {
+    fn check(x_m: &[f64], unusable: &[u32], expected: &[(u32, f64)]) -> Losses {
         let poses = x_m.iter().zip(0..).map(|(&x_m, k)| {
             StampedPose::new(k * 1_000_000_000, Pose2 { x_m, ..Pose2::default() })
         });
@@ -255,7 +257,7 @@ mod tests {
                 usable: !unusable.contains(&scan),
             })
             .collect();
-        let (keyframes, dropped) = subsample(
+        let (keyframes, losses) = subsample(
             &Options::default(),
             &"drive".into(),
             &"site".into(),
@@ -265,7 +267,7 @@ mod tests {
         .unwrap();
         let found: Vec<_> = keyframes.iter().map(|k| (k.id.scan, k.travel_m)).collect();
         assert_eq!(found, expected);
-        dropped
+        losses
     }
 
     #[test]
@@ -333,8 +335,9 @@ mod tests {
         // Scan 3 would be the second keyframe, but it is not usable. Scan 4 is kept, 0.75 m from the
         // first.
         let expected = [(1, 0.0), (4, 0.75), (6, 1.25)];
-        let dropped = check(&[0.0, 0.5, 1.0, 1.5], &[0, 3], &expected);
-        assert_eq!(dropped.to_string(), "2 scans with fewer than 3 returns or all on one line");
+        let losses = check(&[0.0, 0.5, 1.0, 1.5], &[0, 3], &expected);
+        let expected = "2 scans with fewer than 3 returns or all returns on one line";
+        assert_eq!(losses.to_string(), expected);
     }
 
     #[test]
@@ -355,11 +358,11 @@ mod tests {
                 stamps.iter().zip(0..).map(|(&s, k)| candidate(k, s)).collect();
             subsample(&Options::default(), &"a".into(), &"a".into(), &candidates, &trajectory)
         };
-        let (keyframes, dropped) = run(&[9, 10, 15, 16, 11, 24]).unwrap();
+        let (keyframes, losses) = run(&[9, 10, 15, 16, 11, 24]).unwrap();
         assert_eq!(keyframes.len(), 1);
         assert_eq!(
-            dropped.to_string(),
-            "1 scans after the last pose, 1 scans before the first pose, 2 scans in a gap between poses"
+            losses.to_string(),
+            "1 scan before the first pose, 1 scan after the last pose, 2 scans in a gap between poses"
         );
         assert!(matches!(run(&[1, 2]), Err(SubsampleError::NoKeyframes { n_scans: 2, .. })));
         // Scans are visited in the order of their stamps.

@@ -9,7 +9,7 @@
 mod signature;
 mod walls;
 
-use dataset::{Scan, Unusable};
+use dataset::{Scan, Unusable, value_at_rank};
 
 use signature::Signature;
 use walls::Walls;
@@ -215,12 +215,8 @@ fn shares<const N: usize>(histogram: [f64; N], unit: f64) -> [f64; N] {
 
 /// Percentiles \[%\] of sorted values, interpolated linearly between neighbours.
 fn percentiles<const N: usize>(sorted: &[f64], percents: &[f64; N]) -> [f64; N] {
-    percents.map(|percent| {
-        let place = (sorted.len() - 1) as f64 * percent / 100.0;
-        let k = (place as usize).min(sorted.len() - 1);
-        let next = (k + 1).min(sorted.len() - 1);
-        sorted[k] + (sorted[next] - sorted[k]) * (place - k as f64)
-    })
+    // Not `dataset::quantile` of `percent / 100.0`: multiplying first rounds differently.
+    percents.map(|percent| value_at_rank(sorted, (sorted.len() - 1) as f64 * percent / 100.0))
 }
 
 /// Natural logarithms, for bin centres.

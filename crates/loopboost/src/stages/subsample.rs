@@ -35,7 +35,7 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
             })
             .collect();
         let site: Arc<str> = sites[&*log.name].as_str().into();
-        let (of_log, dropped) = subsample::subsample(
+        let (of_log, losses) = subsample::subsample(
             &run.config.subsample,
             &log.name,
             &site,
@@ -49,7 +49,7 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
             of_log.last().map_or(0.0, |k| k.travel_m)
         ));
         keyframes.extend(of_log);
-        done.dropped.merge(dropped);
+        done.dropped.merge(losses.into());
     }
     let path = run.path_of(Artifact::Keyframes);
     write_keyframes(
