@@ -72,7 +72,52 @@ pub(crate) fn deviations(values: &[f64], sum: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use proptest::collection::vec;
+    use proptest::{prop_assert_eq, proptest};
+
     use super::*;
+
+    /// One sum, one value at a time, in the order that the module promises.
+    fn scalar_sum(values: impl Iterator<Item = f64>) -> f64 {
+        let mut lanes = [0.0; LANES];
+        for (k, value) in values.enumerate() {
+            lanes[k % LANES] += value;
+        }
+        let mut sum = 0.0;
+        for lane in lanes {
+            sum += lane;
+        }
+        sum
+    }
+
+    proptest! {
+        #[test]
+        fn sums_have_the_bits_of_a_scalar_loop(rows in vec((-1e3..1e3, -1e-3..1e-3), 0..100)) {
+            let (a, b): (Vec<f64>, Vec<f64>) = rows.iter().copied().unzip();
+            let found = sums([&a, &b], |[a, b]| [a, a * b, a + b]);
+            let expected = [
+                scalar_sum(rows.iter().map(|(a, _)| *a)),
+                scalar_sum(rows.iter().map(|(a, b)| a * b)),
+                scalar_sum(rows.iter().map(|(a, b)| a + b)),
+            ];
+            prop_assert_eq!(found.map(f64::to_bits), expected.map(f64::to_bits));
+
+            let mean = expected[0] / rows.len() as f64;
+            let squares = scalar_sum(a.iter().map(|v| (v - mean) * (v - mean)));
+            prop_assert_eq!(deviations(&a, expected[0]).to_bits(), squares.to_bits());
+        }
+
+        #[test]
+        fn filled_columns_have_the_bits_of_a_scalar_loop(rows in vec((-1e3..1e3, 0.1..1e3), 0..100)) {
+            let (a, b): (Vec<f64>, Vec<f64>) = rows.iter().copied().unzip();
+            let mut found = vec![1.0; 7];
+            fill(&mut found, [&a, &b], |[a, b]| (a / b).abs().sqrt());
+            let expected: Vec<f64> = rows.iter().map(|(a, b)| (a / b).abs().sqrt()).collect();
+            prop_assert_eq!(&found, &expected);
+            let n_above = expected.iter().filter(|v| 1.0 < **v).count();
+            prop_assert_eq!(count(&found, |v| 1.0 < v), n_above);
+        }
+    }
 
     #[test]
     fn each_row_counts_once_for_any_number_of_rows() {

@@ -364,7 +364,69 @@ fn median(values: &mut [f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use proptest::collection::vec;
+    use proptest::prelude::{Just, Strategy, prop_oneof};
+    use proptest::{prop_assert_eq, proptest};
+
     use super::*;
+
+    /// Asserts that [`Paper16::features`], which uses the widest vectors of the processor, and
+    /// [`Paper16::compute`] give the same bits or the same error.
+    fn check_same_bits(features: &mut Paper16, scan: &Scan) {
+        let [wide, plain] = [features.features(scan), features.compute(scan)]
+            .map(|found| found.map(|values| values.map(f64::to_bits)));
+        assert_eq!(wide, plain, "{} returns, {} deg", scan.len(), scan.coverage_deg);
+    }
+
+    /// Open scans and rings with 0 to `max_returns` returns: random points, points on a lattice
+    /// (equal points, lines, the sensor itself), and circles with noise. Many have 3 returns or a
+    /// few more, where vectors are not full.
+    fn any_scan(max_returns: usize) -> impl Strategy<Value = Scan> {
+        let metres = || prop_oneof![-70f32..70.0, -1f32..1.0, (-2..3).prop_map(|v| v as f32)];
+        let n_returns = || prop_oneof![Just(3), 0..20usize, 0..=max_returns];
+        let points = n_returns().prop_flat_map(move |n| vec((metres(), metres()), n));
+        let circle = n_returns().prop_flat_map(|n| {
+            vec(4f32..4.2, n).prop_map(move |ranges| {
+                let angle = |k: usize| k as f32 / n as f32 * std::f32::consts::TAU;
+                let point = |(k, r): (usize, f32)| (r * angle(k).cos(), r * angle(k).sin());
+                ranges.into_iter().enumerate().map(point).collect()
+            })
+        });
+        let coverage_deg = prop_oneof![Just(360f32), Just(355.0), Just(354.9), 0f32..360.0];
+        (prop_oneof![points, circle], coverage_deg).prop_map(|(points, coverage_deg)| {
+            let points: Vec<(f32, f32)> = points;
+            let (x_m, y_m) = points.into_iter().unzip();
+            Scan { x_m, y_m, coverage_deg, ..Scan::default() }
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn wider_vectors_give_the_same_bits_for_any_scans(
+            scans in vec(any_scan(300), 1..6),
+            gate_m in prop_oneof![Just(2.5), 0.01..5.0],
+        ) {
+            let mut features = Paper16::new(gate_m);
+            for scan in &scans {
+                check_same_bits(&mut features, scan);
+            }
+        }
+
+        /// The stride from a guess equals the stride from the median of all angles, sorted.
+        #[test]
+        fn the_guessed_stride_is_the_stride_of_the_median(
+            angles_deg in vec(prop_oneof![0.0..3.0, Just(0.0), Just(0.2), 0.1995..0.2005, Just(1.0)], 1..200),
+        ) {
+            let angles_rad: Vec<f64> = angles_deg.iter().map(|a: &f64| a.to_radians()).collect();
+            let found = curvature_stride(&angles_rad, &mut vec![7.0; 3]);
+            let mut sorted = angles_rad;
+            sorted.sort_by(f64::total_cmp);
+            let (lower, upper) = (sorted[(sorted.len() - 1) / 2], sorted[sorted.len() / 2]);
+            let median = if sorted.len() % 2 == 1 { upper } else { 0.5 * (lower + upper) };
+            let stride = (1f64.to_radians() / median).round() as usize;
+            prop_assert_eq!(found, (0.0 < median).then_some(stride.max(1)));
+        }
+    }
 
     /// Rooms with any number of returns, with people and gaps. On a processor without AVX2 both
     /// results come from the same code.
@@ -384,9 +446,8 @@ mod tests {
                 coverage_deg: if n % 2 == 0 { 359.0 } else { 180.0 },
                 ..Scan::default()
             };
-            let [wide, plain] = [features.features(&scan), features.compute(&scan)]
-                .map(|found| found.unwrap().map(f64::to_bits));
-            assert_eq!(wide, plain, "{n} returns");
+            assert!(scan.check_usable().is_ok());
+            check_same_bits(&mut features, &scan);
         }
     }
 }
