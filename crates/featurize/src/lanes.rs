@@ -92,7 +92,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn sums_have_the_bits_of_a_scalar_loop(rows in vec((-1e3..1e3, -1e-3..1e-3), 0..100)) {
+        fn sums_have_the_bits_of_a_scalar_loop(rows in vec((-1e3..1e3f64, -1e-3..1e-3), 0..100)) {
             let (a, b): (Vec<f64>, Vec<f64>) = rows.iter().copied().unzip();
             let found = sums([&a, &b], |[a, b]| [a, a * b, a + b]);
             let expected = [
@@ -108,7 +108,7 @@ mod tests {
         }
 
         #[test]
-        fn filled_columns_have_the_bits_of_a_scalar_loop(rows in vec((-1e3..1e3, 0.1..1e3), 0..100)) {
+        fn filled_columns_have_the_bits_of_a_scalar_loop(rows in vec((-1e3..1e3f64, 0.1..1e3f64), 0..100)) {
             let (a, b): (Vec<f64>, Vec<f64>) = rows.iter().copied().unzip();
             let mut found = vec![1.0; 7];
             fill(&mut found, [&a, &b], |[a, b]| (a / b).abs().sqrt());
