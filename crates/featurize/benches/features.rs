@@ -1,9 +1,11 @@
-//! The features of scans of 2000 returns, beside straightforward numpy, on one thread each.
+//! Time to compute the features of scans with 2000 returns, compared with plain numpy. Both use one
+//! thread.
 //!
 //! `cargo bench -p featurize --bench features`
 //!
-//! The time_numpy, run by the Python in `LOOPBOOST_PYTHON`, measures like scans (`tests/peers/features.py`,
-//! which on a run folder checks the values too). Both are run in turn.
+//! `tests/peers/features.py` computes the same features of similar scans. It runs with the Python in
+//! `LOOPBOOST_PYTHON`. The two programs run in turn. (The script can also check the values in a run
+//! folder.)
 
 use std::path::Path;
 use std::process::Command;
@@ -30,14 +32,10 @@ fn main() {
         };
         let ours = median(&mut ours).expect("runs");
         println!("{} of {RETURNS} returns, one thread, median of {RUNS}:", set.name());
-        println!("  loopboost {:>9.1} us a scan", ours * 1e6);
+        println!("  loopboost {:>9.1} us per scan", ours * 1e6);
         match median(&mut peers) {
-            Some(time_numpy) => {
-                println!(
-                    "  numpy     {:>9.1} us a scan, ratio {:.1}",
-                    time_numpy * 1e6,
-                    time_numpy / ours
-                );
+            Some(numpy) => {
+                println!("  numpy     {:>9.1} us per scan, ratio {:.1}", numpy * 1e6, numpy / ours);
             }
             None => println!("  skipped: no Python with numpy (LOOPBOOST_PYTHON)"),
         }
@@ -67,7 +65,7 @@ fn time_numpy(set: FeatureSet) -> Option<f64> {
     String::from_utf8_lossy(&output.stdout).trim().parse().ok()
 }
 
-/// A room of four walls, turned and moved, with ripples of 2 cm.
+/// A rectangular room, rotated and shifted, with ripples of 2 cm on the walls.
 fn room(k: usize) -> Scan {
     let turn = k as f64 * 0.7;
     let walls: [f64; 4] = std::array::from_fn(|wall| 1.0 + ((k * 7 + wall * 5) % 19) as f64);
