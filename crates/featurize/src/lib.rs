@@ -84,6 +84,9 @@ pub enum FeatureSet {
 }
 
 impl FeatureSet {
+    /// Every set.
+    pub const ALL: [Self; 2] = [Self::Paper16, Self::Campus];
+
     /// The name in options and models.
     pub fn name(self) -> &'static str {
         match self {

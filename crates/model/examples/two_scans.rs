@@ -1,42 +1,30 @@
-//! Two scans in, confidence out: what runs on a robot.
+//! Scores two pairs of scans with a saved model, as a program on a robot would.
 //!
 //! `cargo run -p model --example two_scans -- MODEL.json`
 //!
-//! Nothing here needs Arrow, Parquet or MCAP. A real robot fills `Scan` from its own driver: the
-//! returns of one turn in firing order, x forward and y left, and the angle that was swept.
+//! This example needs neither Arrow nor Parquet nor MCAP. A robot fills `Scan` from its own driver:
+//! the returns of one revolution in firing order, x forward and y to the left, and the angle that
+//! the revolution covers.
 
 use std::error::Error;
 use std::path::Path;
 
 use dataset::{Label, Scan};
-use featurize::{FeatureSet, Paper16, difference};
+use featurize::{FeatureSet, Featurizer, Options, difference};
+use model::{FeatureSpec, Model};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let path = std::env::args().nth(1).ok_or("usage: two_scans MODEL.json")?;
     let model = model::load(Path::new(&path))?;
+    let mut featurizer = featurizer(&model.features)?;
 
-    // The model says which features it wants; another set or version does not fit.
-    let set = FeatureSet::Paper16;
-    if (model.features.set.as_str(), model.features.version) != (set.name(), set.version()) {
-        return Err(
-            format!("the model wants {} v{}", model.features.set, model.features.version).into()
-        );
-    }
-    let mut features = Paper16::new(model.features.gate_m);
+    // Two scans of a corridor from places a metre apart, and a scan of a wide hall.
+    let here = features(&mut featurizer, &model, &room(20.0, 1.2, 0.0))?;
+    let ahead = features(&mut featurizer, &model, &room(20.0, 1.2, 1.0))?;
+    let hall = features(&mut featurizer, &model, &room(15.0, 12.0, 0.0))?;
 
-    // Two scans of a corridor from places a metre apart, and one of a wide hall.
-    let here = room(20.0, 1.2, 0.0);
-    let ahead = room(20.0, 1.2, 1.0);
-    let hall = room(15.0, 12.0, 0.0);
-    for scan in [&here, &ahead, &hall] {
-        model.scans.check(scan.coverage_deg, scan.is_ring())?;
-    }
-    let here = features.features(&here)?;
-    let ahead = features.features(&ahead)?;
-    let hall = features.features(&hall)?;
-
-    // Scoring a pair allocates nothing: candidates can be scored by the million.
-    let mut f = [0.0; 16];
+    // Scoring a pair allocates no memory.
+    let mut f = vec![0.0; here.len()];
     for (name, reference) in [("a metre ahead", &ahead), ("a wide hall", &hall)] {
         difference(&here, reference, &mut f);
         let confidence = model.classifier.confidence(&f);
@@ -49,8 +37,34 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// A turn of 2170 firings in a room of half length `a` and half width `b` \[m\], seen from `x` on
-/// its long axis.
+/// The featurizer for the feature set that the model was trained with.
+fn featurizer(spec: &FeatureSpec) -> Result<Featurizer, String> {
+    let is_same = |set: &FeatureSet| {
+        (set.name(), set.version()) == (&*spec.set, spec.version)
+            && set.feature_names() == spec.names
+    };
+    let set = FeatureSet::ALL.into_iter().find(is_same).ok_or_else(|| {
+        let known = FeatureSet::ALL.map(|set| format!("`{}` v{}", set.name(), set.version()));
+        let known = known.join(" or ");
+        format!("the model needs features `{}` v{}, expected {known}", spec.set, spec.version)
+    })?;
+    Ok(Featurizer::new(&Options { set, gate_m: spec.gate_m }))
+}
+
+/// The features of a scan, if the model was trained on such scans.
+fn features(
+    featurizer: &mut Featurizer,
+    model: &Model,
+    scan: &Scan,
+) -> Result<Vec<f64>, Box<dyn Error>> {
+    model.scans.check(scan.coverage_deg, scan.is_ring())?;
+    let mut features = vec![0.0; model.features.names.len()];
+    featurizer.features(scan, &mut features)?;
+    Ok(features)
+}
+
+/// A revolution of 2170 firings in a room of half length `a` and half width `b` \[m\]. The sensor is
+/// at `x` on the long axis of the room.
 fn room(a: f64, b: f64, x: f64) -> Scan {
     let mut scan = Scan { coverage_deg: 359.83, ..Scan::default() };
     for k in 0..2170 {

@@ -1,21 +1,21 @@
-//! Confidences of many pairs at once, to the bit those of [`Classifier::confidence`].
+//! Confidences of many pairs at once, with the same bits as [`Classifier::confidence`].
 //!
-//! A pair's weak learners are summed in the order of the rounds, one pair as in a batch; what a
-//! batch saves is the decision, pair by pair and round by round, what kind of weak learner it is,
-//! and the loads of features that no round looks at.
+//! The weak learners of a pair are summed in the order of the rounds, as for a single pair. A batch is
+//! faster because it decides about the kind of a weak learner once per round, not once per pair and
+//! round, and because it does not load features that no round uses.
 
 use crate::{Classifier, MAX_DEPTH, Tree, WeakLearner};
 
-/// Pairs scored together: the differences of all features that rounds look at stay in the cache.
+/// Number of pairs scored together. The differences of all used features then stay in the cache.
 const BLOCK: usize = 256;
 
 impl Classifier {
     /// Confidences of pairs of rows of a feature table, `(n_pairs,)`.
     ///
-    /// `features` is row-major, `(n_keyframes, n_features)`; a pair names two of its rows.
+    /// `features` is row-major, `(n_keyframes, n_features)`. A pair is two row numbers.
     ///
     /// # Panics
-    /// If a pair names a row that is not there.
+    /// Panics if a row number is out of range.
     pub fn score_pairs(
         &self,
         features: &[f64],
@@ -41,16 +41,16 @@ impl Classifier {
                 }
             }
             let mut sums = [0.0; BLOCK];
-            batch.add(|place| &differences[place], &mut sums);
+            batch.add(|k| &differences[k], &mut sums);
             confidences.extend_from_slice(&sums[..block.len()]);
         }
     }
 
-    /// Confidences of pairs whose feature differences are given column by column,
-    /// `(n_features, n_pairs)`; `(n_pairs,)`.
+    /// Confidences of pairs, `(n_pairs,)`, from columns of feature differences,
+    /// `(n_features, n_pairs)`.
     ///
     /// # Panics
-    /// If the columns are not of one length, or one that a round looks at is missing.
+    /// Panics if the columns differ in length, or if a column that a round uses is missing.
     pub fn score_columns<C: AsRef<[f64]>>(&self, columns: &[C]) -> Vec<f64> {
         let n_pairs = columns.first().map_or(0, |column| column.as_ref().len());
         assert!(columns.iter().all(|column| column.as_ref().len() == n_pairs));
@@ -58,19 +58,19 @@ impl Classifier {
         let mut confidences = vec![0.0; n_pairs];
         for (first, sums) in (0..).step_by(BLOCK).zip(confidences.chunks_mut(BLOCK)) {
             let n = sums.len();
-            batch.add(|place| &columns[batch.used[place]].as_ref()[first..first + n], sums);
+            batch.add(|k| &columns[batch.used[k]].as_ref()[first..first + n], sums);
         }
         confidences
     }
 }
 
-/// A classifier, and the features that its rounds look at.
+/// A classifier and the features that its rounds use.
 struct Batch<'a> {
     rounds: &'a [WeakLearner],
-    /// Ascending.
+    /// Features that a round uses, in ascending order.
     used: Vec<usize>,
-    /// Place of each feature among those used; 0 for the others.
-    places: Vec<usize>,
+    /// Index of each feature in `used`; 0 for features that are not used.
+    index_in_used: Vec<usize>,
 }
 
 impl<'a> Batch<'a> {
@@ -80,20 +80,20 @@ impl<'a> Batch<'a> {
         let mut used: Vec<usize> = splits.map(|split| split.feature).collect();
         used.sort_unstable();
         used.dedup();
-        // A node that does not split names feature 0.
-        let mut places = vec![0; used.last().map_or(1, |last| last + 1)];
-        for (place, &feature) in used.iter().enumerate() {
-            places[feature] = place;
+        // A node that does not split has feature 0, which may be unused.
+        let mut index_in_used = vec![0; used.last().map_or(1, |last| last + 1)];
+        for (k, &feature) in used.iter().enumerate() {
+            index_in_used[feature] = k;
         }
-        Self { rounds, used, places }
+        Self { rounds, used, index_in_used }
     }
 
-    /// Adds the values of all rounds to a block of sums; `column` has the differences of the
-    /// feature of a place.
+    /// Adds the values of all rounds to a block of sums. `column` gives the differences of the
+    /// feature with an index in `used`.
     fn add<'c>(&self, column: impl Fn(usize) -> &'c [f64], sums: &mut [f64]) {
-        let column = |feature: usize| column(self.places[feature]);
+        let column = |feature: usize| column(self.index_in_used[feature]);
         let mut rounds = self.rounds;
-        // No loop has a branch in it, so that they run on vectors; four rounds at a time spare
+        // The loops have no branches, so the compiler can vectorise them. Four rounds at a time save
         // three of four loads and stores of the sums.
         while let Some((four, rest)) = rounds.split_first_chunk::<4>() {
             let [Some(a), Some(b), Some(c), Some(d)] = four.each_ref().map(Step::of) else { break };
@@ -119,7 +119,7 @@ impl<'a> Batch<'a> {
     }
 }
 
-/// A vote or a step: `below` where F < threshold, else `above`.
+/// A vote or a step: `below` if F < threshold, else `above`.
 #[derive(Clone, Copy)]
 struct Step {
     feature: usize,
@@ -134,7 +134,8 @@ impl Step {
             WeakLearner::Vote { feature, threshold, polarity, alpha } if 0.0 < polarity => {
                 Some(Self { feature, threshold, below: alpha, above: -alpha })
             }
-            // + where theta < F: - where F < the next number after theta.
+            // This vote is positive if theta < F: negative if F is less than the next number after
+            // theta.
             WeakLearner::Vote { feature, threshold, alpha, .. } => {
                 Some(Self { feature, threshold: threshold.next_up(), below: -alpha, above: alpha })
             }
@@ -158,7 +159,7 @@ fn each(sums: &mut [f64], column: &[f64], value: impl Fn(f64) -> f64) {
     }
 }
 
-/// Level by level: the node each pair stands at.
+/// Adds the leaves of a tree: for each pair, follows the tree from the root down.
 fn add_tree<'c>(tree: &Tree, column: &impl Fn(usize) -> &'c [f64], sums: &mut [f64]) {
     let n_nodes = tree.nodes().len();
     let mut columns = [&[][..]; (1 << MAX_DEPTH) - 1];
@@ -166,12 +167,12 @@ fn add_tree<'c>(tree: &Tree, column: &impl Fn(usize) -> &'c [f64], sums: &mut [f
         *column_of = column(node.feature);
     }
     for (k, sum) in sums.iter_mut().enumerate() {
-        let mut place = 0;
+        let mut node = 0;
         for _ in 0..tree.depth() {
-            let is_right = tree.nodes()[place].threshold <= columns[place][k];
-            place = 2 * place + 1 + usize::from(is_right);
+            let is_right = tree.nodes()[node].threshold <= columns[node][k];
+            node = 2 * node + 1 + usize::from(is_right);
         }
-        *sum += tree.leaves()[place - n_nodes];
+        *sum += tree.leaves()[node - n_nodes];
     }
 }
 
@@ -179,10 +180,10 @@ fn add_tree<'c>(tree: &Tree, column: &impl Fn(usize) -> &'c [f64], sums: &mut [f
 mod tests {
     use crate::{Classifier, Learner, Node, Tree, WeakLearner};
 
-    /// A feature table whose values repeat, so that differences meet thresholds exactly, more pairs
-    /// than a block holds, and no feature in order.
+    /// The values in the feature table repeat, so some differences equal a threshold. There are more
+    /// pairs than a block has, and the rounds use the features out of order.
     #[test]
-    fn a_batch_gives_what_pairs_give_one_by_one() {
+    fn a_batch_gives_the_same_bits_as_single_pairs() {
         let split = |feature, threshold| Node { feature, threshold };
         let nodes = [split(4, 2.0), Node::PASS, split(1, 3.0)];
         let tree = Tree::new(&nodes, &[0.17, 0.0, -0.19, 0.23]).unwrap();

@@ -9,7 +9,7 @@ use crate::tree::Tree;
 pub enum Learner {
     /// Discrete AdaBoost over decision stumps (the paper's Algorithm 1).
     Discrete,
-    /// Gentle AdaBoost over weighted least-squares lines (Algorithm 2 by the paper's words).
+    /// Gentle AdaBoost over weighted least-squares lines (Algorithm 2, following the paper's text).
     GentleLine,
     /// Gentle AdaBoost over regression stumps (Friedman, Hastie and Tibshirani 2000).
     GentleStump,
@@ -29,59 +29,59 @@ impl Learner {
     }
 }
 
-/// One round of boosting: a function of one feature, or of the few of a tree, added to the
+/// One round of boosting. It adds a function of one feature, or a tree over a few features, to the
 /// confidence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum WeakLearner {
-    /// `alpha` where p F < p theta, else `-alpha`.
+    /// `alpha` if p F < p theta, else `-alpha`.
     Vote {
         /// Index of the feature.
         feature: usize,
-        /// theta
+        /// theta.
         threshold: f64,
         /// p, +1.0 or -1.0.
         polarity: f64,
         /// Weight of the vote, ln(1 / beta).
         alpha: f64,
     },
-    /// `slope` F + `intercept`.
+    /// `slope` * F + `intercept`.
     Line {
         /// Index of the feature.
         feature: usize,
-        /// Per unit of the feature.
+        /// Slope, per unit of the feature.
         slope: f64,
-        /// At F = 0.
+        /// Value at F = 0.
         intercept: f64,
     },
-    /// `below` where F < theta, else `above`.
+    /// `below` if F < theta, else `above`.
     Step {
         /// Index of the feature.
         feature: usize,
-        /// theta
+        /// theta.
         threshold: f64,
         /// Weighted mean of the labels below the threshold.
         below: f64,
         /// Weighted mean of the labels at or above the threshold.
         above: f64,
     },
-    /// The leaf that the splits lead to.
+    /// The value of the leaf that the pair reaches.
     Tree(Tree),
 }
 
-/// A place where a weak learner looks at a feature.
+/// The use of a feature by a weak learner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Split {
-    /// Its node in a tree, 0 the root, the children of k at 2 k + 1 and 2 k + 2; none for weak
-    /// learners of one feature.
+    /// The node of the tree. Node 0 is the root, and the children of node k are nodes 2 k + 1 and
+    /// 2 k + 2. `None` for weak learners of one feature.
     pub node: Option<u32>,
     /// Index of the feature.
     pub feature: usize,
-    /// The threshold, for those that have one.
+    /// The threshold; `None` for a line.
     pub threshold: Option<f64>,
 }
 
 impl WeakLearner {
-    /// Where it looks at features: once, or at the nodes of a tree in order.
+    /// The features that it uses: one, or those of the nodes of a tree in order.
     pub fn splits(&self) -> impl Iterator<Item = Split> + '_ {
         let one = match *self {
             Self::Vote { feature, threshold, .. } | Self::Step { feature, threshold, .. } => {
@@ -99,13 +99,13 @@ impl WeakLearner {
         one.into_iter().chain(of_tree)
     }
 
-    /// What it adds to the confidence of a pair whose feature differences are `difference`.
+    /// The value that it adds to the confidence of a pair with these feature differences.
     #[inline]
     pub fn value(&self, difference: &[f64]) -> f64 {
         self.value_of(|feature| difference[feature])
     }
 
-    /// The same where the differences are asked for one by one.
+    /// The same as [`Self::value`], with a function that returns the difference of a feature.
     #[inline]
     pub fn value_of(&self, difference: impl Fn(usize) -> f64) -> f64 {
         match *self {
@@ -129,16 +129,16 @@ impl WeakLearner {
 /// A sum of weak learners.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Classifier {
-    /// What fitted it.
+    /// The learner that trained it.
     pub learner: Learner,
-    /// One weak learner a round, `(n_rounds,)`.
+    /// One weak learner per round, `(n_rounds,)`.
     pub rounds: Vec<WeakLearner>,
 }
 
 impl Classifier {
-    /// Confidence that a pair shows one place, from its feature differences `|f_a - f_b|`,
-    /// `(n_features,)`. The pair is called positive where this is not less than the threshold, 0
-    /// unless chosen otherwise.
+    /// The confidence that both scans of a pair show the same place, from the feature differences
+    /// `|f_a - f_b|`, `(n_features,)`. The pair is classified as positive if the confidence is at
+    /// least the threshold, which is 0 by default.
     pub fn confidence(&self, difference: &[f64]) -> f64 {
         self.rounds.iter().map(|weak| weak.value(difference)).sum()
     }
@@ -157,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn votes_lines_and_steps_add_up() {
+    fn the_confidence_is_the_sum_of_votes_lines_and_steps() {
         let classifier = Classifier {
             learner: Learner::Discrete,
             rounds: vec![
@@ -167,11 +167,12 @@ mod tests {
                 WeakLearner::Step { feature: 1, threshold: 2.0, below: 0.75, above: -0.125 },
             ],
         };
-        // Feature 0 is 3 (beyond 1: the second votes +), feature 1 is 1 (below 2).
+        // Feature 0 is 3, which is more than 1: the second vote is positive. Feature 1 is 1, which is
+        // less than 2.
         assert_eq!(classifier.confidence(&[3.0, 1.0]), 0.5 + 0.25 - 5.0 + 0.75);
         let staged: Vec<f64> = classifier.staged_confidences(&[3.0, 1.0]).collect();
         assert_eq!(staged, [0.5, 0.75, -4.25, -3.5]);
-        // At its threshold a vote is -, whatever its polarity; a step is above.
+        // At the threshold, a vote is negative for both polarities, and a step takes `above`.
         assert_eq!(classifier.confidence(&[1.0, 2.0]), -0.5 - 0.25 - 1.0 - 0.125);
     }
 }

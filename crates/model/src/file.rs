@@ -1,4 +1,4 @@
-//! `model.json`: written once, read with every value checked.
+//! Reading and writing `model.json`. Loading checks every value.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -13,39 +13,55 @@ use crate::{
     OperatingPoint, ScanSpec, Training, Tree, WeakLearner, card,
 };
 
-/// A file larger than this is no model of ours; 50 rounds take about 10 kB.
+/// Largest accepted file. A model with 50 rounds has about 10 kB.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
-/// What can be wrong with a model.
+/// Why a model cannot be saved, loaded or used.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
-    /// The system refused.
+    /// A file operation failed.
     #[error("cannot {action} {path}")]
     Io {
-        /// "read", "write", ...
+        /// `read` or `write`.
         action: &'static str,
         /// The file.
         path: PathBuf,
-        /// The system's word.
+        /// The cause.
+        #[source]
         source: std::io::Error,
     },
-    /// A version is never overwritten.
-    #[error("{path} exists; a model version is never overwritten")]
+    /// The version exists already.
+    #[error("{path} already exists; a model version is never overwritten")]
     Exists {
         /// The file.
         path: PathBuf,
     },
-    /// The file is no `model.json`.
-    #[error("{path} is not a model: {detail}")]
+    /// The file is not JSON, or not JSON of a model.
+    #[error("{path} is not a model")]
     NotAModel {
         /// The file.
         path: PathBuf,
-        /// The decoder's word.
-        detail: String,
+        /// The cause.
+        #[source]
+        source: serde_json::Error,
     },
-    /// Another format version.
+    /// The file is too large to be a model.
+    #[error("{path} is not a model: it has {n_bytes} bytes, expected {MAX_FILE_BYTES} or less")]
+    TooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Size of the file.
+        n_bytes: u64,
+    },
+    /// The file is JSON without a format version.
+    #[error("{path} is not a model: it has no `format_version`")]
+    NoVersion {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file has another format version.
     #[error(
-        "{path} has format version {found}, this program reads version {FORMAT_VERSION}; train the model again with `loopboost train PIPELINE.toml --out DIR`"
+        "{path} has format version {found}, expected {FORMAT_VERSION}; train the model again with `loopboost train PIPELINE.toml --out DIR`"
     )]
     Version {
         /// The file.
@@ -53,38 +69,38 @@ pub enum ModelError {
         /// The version found.
         found: String,
     },
-    /// A value that cannot be.
+    /// A value is not valid.
     #[error("{path}: {what}")]
     Invalid {
         /// The file.
         path: PathBuf,
-        /// Which value, what it is, and what it must be.
+        /// The name of the value, the value, and what was expected.
         what: String,
     },
-    /// The content is not what the model was saved with.
+    /// The content was changed after the model was saved.
     #[error(
-        "{path} was altered: its content has the digest {expected}, it carries {found}; train the model again or fetch the original"
+        "{path} was altered: its content has the digest {expected}, but the file states {found}; train the model again or restore the original file"
     )]
     Digest {
         /// The file.
         path: PathBuf,
-        /// The digest it carries.
+        /// The digest in the file.
         found: String,
-        /// The digest of its content.
+        /// The digest of the content.
         expected: String,
     },
-    /// Scans that the model was not made for.
+    /// The scan is not of the kind that the model was trained on.
     #[error(
-        "the model was trained on {trained_on} ({trained_deg} deg), the scan is one of {found} ({found_deg} deg); use a model of such scans"
+        "the scan covers {found} ({found_deg} deg), but the model was trained on scans that cover {trained_on} ({trained_deg} deg); use a model trained on scans of the same kind"
     )]
     ScanSpec {
-        /// Angle swept by the training scans \[deg\].
+        /// Smallest angle covered by a training scan \[deg\].
         trained_deg: f32,
-        /// What these are.
+        /// The kind of the training scans.
         trained_on: &'static str,
-        /// Angle swept by the scan \[deg\].
+        /// Angle covered by the scan \[deg\].
         found_deg: f32,
-        /// What it is.
+        /// The kind of the scan.
         found: &'static str,
     },
 }
@@ -97,7 +113,7 @@ pub(crate) struct ModelFile {
     format_version: u32,
     name: String,
     version: Version,
-    /// BLAKE3 over this file with an empty digest, hex.
+    /// BLAKE3 digest of this file with an empty `digest`, in hex.
     digest: String,
     program_version: String,
     seed: u64,
@@ -111,7 +127,7 @@ pub(crate) struct ModelFile {
     rounds: Vec<Round>,
 }
 
-/// A weak learner, its feature by name.
+/// A weak learner, with its feature by name.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
@@ -122,8 +138,9 @@ enum Round {
     Tree { nodes: Vec<Option<TreeNode>>, leaves: Vec<f64> },
 }
 
-/// Left where F < threshold, else right. Nodes stand level by level, the children of k at 2 k + 1
-/// and 2 k + 2, leaves from left to right; null is a node that sends all left.
+/// A node of a tree: left if F < threshold, else right. Nodes are listed level by level, and the
+/// children of node k are nodes 2 k + 1 and 2 k + 2. Leaves are listed from left to right. Null is a
+/// node that sends every pair to the left.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
@@ -135,32 +152,38 @@ struct TreeNode {
 /// A model version on disk.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Saved {
-    /// Its version.
+    /// The version.
     pub version: Version,
-    /// Whether it was written now; otherwise the same model was there already.
+    /// Whether the version was written now. If not, the same model existed already.
     pub is_new: bool,
-    /// `model.json` and `card.md`.
+    /// The paths of `model.json` and `card.md`.
     pub files: Vec<PathBuf>,
 }
 
-/// JSON Schema of `model.json`.
+/// The JSON Schema of `model.json`.
 #[cfg(feature = "schema")]
 pub fn schema() -> schemars::Schema {
     schemars::schema_for!(ModelFile)
 }
 
-/// Writes `<models>/<name>/<version>/model.json`, and a model card `card.md` beside it, under the
-/// next version: 1.0.0 for the first; one minor more than the newest; one major more where the
-/// features, the scans or the learner are others than the newest's, or the newest cannot be read.
-/// Where a version with the same content exists, that one is it, and only a lost or altered card is
-/// written anew. The model's own `version` is not looked at. One process saves at a time.
+/// Writes `<models>/<name>/<version>/model.json` and the model card `card.md` in the same folder.
+///
+/// The first version is 1.0.0. A later version increases the minor version of the newest one. It
+/// increases the major version if the features, the kind of scans or the learner differ from the
+/// newest version, or if the newest version cannot be loaded. If a version with the same content
+/// exists, no new version is written; only a missing or altered card is written again.
+///
+/// `model.version` is ignored. Only one process may save at a time.
 pub fn save(models: &Path, model: &Model) -> Result<Saved, ModelError> {
     let folder = models.join(&model.name);
     let invalid = |what| ModelError::Invalid { path: folder.clone(), what };
     let n_features = model.features.names.len();
     let mut splits = model.classifier.rounds.iter().flat_map(WeakLearner::splits);
     if let Some(split) = splits.find(|split| n_features <= split.feature) {
-        let what = format!("a round looks at feature {}, there are {n_features}", split.feature);
+        let what = format!(
+            "rounds: a round uses feature {}, expected less than {n_features}",
+            split.feature
+        );
         return Err(invalid(what));
     }
     check(&to_file(model)).map_err(invalid)?;
@@ -173,7 +196,7 @@ pub fn save(models: &Path, model: &Model) -> Result<Saved, ModelError> {
         let same = Model { version: version.clone(), ..model.clone() };
         let files = files(version);
         if fs::read_to_string(&files[0]).is_ok_and(|text| text == to_json(&same)) {
-            // A run that was killed between the two files has left the first alone.
+            // A run that was interrupted between the two files has written only the first one.
             write(&files[1], &card(&same))?;
             return Ok(Saved { version: version.clone(), is_new: false, files });
         }
@@ -197,7 +220,7 @@ pub fn save(models: &Path, model: &Model) -> Result<Saved, ModelError> {
     Ok(Saved { version, is_new: true, files })
 }
 
-/// The versions in a model's folder, ascending.
+/// The versions in the folder of a model, in ascending order.
 fn versions(folder: &Path) -> Result<Vec<Version>, ModelError> {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,
@@ -214,7 +237,7 @@ fn versions(folder: &Path) -> Result<Vec<Version>, ModelError> {
     Ok(versions)
 }
 
-/// Writes a file beside its place and renames it when it is whole.
+/// Writes a temporary file and renames it when it is complete.
 fn write(path: &Path, text: &str) -> Result<(), ModelError> {
     let io = |source| ModelError::Io { action: "write", path: path.to_owned(), source };
     let folder = path.parent().unwrap_or(Path::new(""));
@@ -224,32 +247,31 @@ fn write(path: &Path, text: &str) -> Result<(), ModelError> {
     let mut file = fs::File::create(&partial).map_err(io)?;
     let written = file.write_all(text.as_bytes()).and_then(|()| file.sync_all());
     written.and_then(|()| fs::rename(&partial, path)).map_err(|source| {
-        // The error that matters is this one.
+        // The first error is the one to report.
         let _ = fs::remove_file(&partial);
         io(source)
     })
 }
 
-/// Reads a `model.json` and checks every value of it.
+/// Loads a `model.json` and checks every value.
 pub fn load(path: &Path) -> Result<Model, ModelError> {
     let io = |source| ModelError::Io { action: "read", path: path.to_owned(), source };
-    let not_a_model = |detail: String| ModelError::NotAModel { path: path.to_owned(), detail };
-    let size = fs::metadata(path).map_err(io)?.len();
-    if MAX_FILE_BYTES < size {
-        return Err(not_a_model(format!("{size} bytes, a model has at most {MAX_FILE_BYTES}")));
+    let not_a_model = |source| ModelError::NotAModel { path: path.to_owned(), source };
+    let n_bytes = fs::metadata(path).map_err(io)?.len();
+    if MAX_FILE_BYTES < n_bytes {
+        return Err(ModelError::TooLarge { path: path.to_owned(), n_bytes });
     }
     let bytes = fs::read(path).map_err(io)?;
-    let peek: serde_json::Value =
-        serde_json::from_slice(&bytes).map_err(|e| not_a_model(e.to_string()))?;
+    let peek: serde_json::Value = serde_json::from_slice(&bytes).map_err(not_a_model)?;
     match peek.get("format_version") {
         Some(found) if found == FORMAT_VERSION => {}
         Some(found) => {
             return Err(ModelError::Version { path: path.to_owned(), found: found.to_string() });
         }
-        None => return Err(not_a_model("it has no `format_version`".to_owned())),
+        None => return Err(ModelError::NoVersion { path: path.to_owned() }),
     }
-    // From the bytes, so that an error shows its line and a field that stands twice is refused.
-    let file: ModelFile = serde_json::from_slice(&bytes).map_err(|e| not_a_model(e.to_string()))?;
+    // Parse the bytes and not `peek`: the error then contains the line, and duplicate fields fail.
+    let file: ModelFile = serde_json::from_slice(&bytes).map_err(not_a_model)?;
     let invalid = |what| ModelError::Invalid { path: path.to_owned(), what };
     check(&file).map_err(invalid)?;
     let expected = digest(&file);
@@ -264,12 +286,12 @@ fn to_json(model: &Model) -> String {
 }
 
 fn json_of(file: &ModelFile) -> String {
-    let mut json = serde_json::to_string_pretty(file).expect("a model serialises into memory");
+    let mut json = serde_json::to_string_pretty(file).expect("a model can be serialised");
     json.push('\n');
     json
 }
 
-/// BLAKE3 over the file's JSON with an empty digest.
+/// The BLAKE3 digest of the JSON of the file with an empty `digest`.
 fn digest(file: &ModelFile) -> String {
     let file = ModelFile { digest: String::new(), ..file.clone() };
     blake3::hash(json_of(&file).as_bytes()).to_hex().to_string()
@@ -321,7 +343,7 @@ fn to_file(model: &Model) -> ModelFile {
     file
 }
 
-/// The model of a file that has been checked.
+/// The model of a file that passed [`check`].
 fn from_file(file: ModelFile) -> Model {
     let index: BTreeMap<&str, usize> =
         file.features.names.iter().zip(0..).map(|(name, k)| (name.as_str(), k)).collect();
@@ -346,7 +368,7 @@ fn from_file(file: ModelFile) -> Model {
                     None => Node::PASS,
                 };
                 let nodes: Vec<Node> = nodes.iter().map(node).collect();
-                WeakLearner::Tree(Tree::new(&nodes, leaves).expect("the file has been checked"))
+                WeakLearner::Tree(Tree::new(&nodes, leaves).expect("the file was checked"))
             }
         })
         .collect();
@@ -386,7 +408,7 @@ impl Round {
         }
     }
 
-    /// Its numbers, by name.
+    /// The numbers of the round, with their names.
     fn numbers(&self) -> Vec<(String, f64)> {
         let named = |values: &[(&str, f64)]| {
             values.iter().map(|&(name, value)| (name.to_owned(), value)).collect()
@@ -413,15 +435,15 @@ impl Round {
     }
 }
 
-/// Checks every value; the error names it, what it is and what it must be.
+/// Checks every value. The error states the name of the value, the value, and what was expected.
 fn check(file: &ModelFile) -> Result<(), String> {
-    let legal = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
-    if file.name.is_empty() || file.name.starts_with('.') || !file.name.chars().all(legal) {
+    let is_allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    if file.name.is_empty() || file.name.starts_with('.') || !file.name.chars().all(is_allowed) {
         return Err(format!("name: `{}`, expected letters, digits, `-`, `_` and `.`", file.name));
     }
     let names: BTreeSet<&str> = file.features.names.iter().map(String::as_str).collect();
     if names.len() < file.features.names.len() {
-        return Err("features.names: a name stands there twice".to_owned());
+        return Err("features.names: duplicate name, expected each name once".to_owned());
     }
     check_number("features.gate_m", file.features.gate_m)?;
     if file.features.gate_m <= 0.0 {
@@ -477,23 +499,23 @@ fn check_scans(scans: &ScanSpec) -> Result<(), String> {
     check_number("scans.range_max_m", range_max_m)?;
     if !(0.0 <= min_deg && min_deg <= max_deg) {
         return Err(format!(
-            "scans: coverage from {min_deg} to {max_deg} deg, expected 0 or more, ascending"
+            "scans: coverage from {min_deg} to {max_deg} deg, expected 0 or more and in ascending order"
         ));
     }
     if is_ring != (FULL_RING_DEG <= min_deg) {
         return Err(format!(
-            "scans.is_ring: {is_ring} with a coverage of {min_deg} deg; a ring has {FULL_RING_DEG} or more"
+            "scans.is_ring: {is_ring} with a coverage of {min_deg} deg, expected true for {FULL_RING_DEG} deg or more"
         ));
     }
     if !(0.0 <= range_min_m && range_min_m < range_max_m) {
         return Err(format!(
-            "scans: ranges from {range_min_m} to {range_max_m} m, expected 0 or more, ascending"
+            "scans: ranges from {range_min_m} to {range_max_m} m, expected 0 or more and in ascending order"
         ));
     }
     Ok(())
 }
 
-/// Rates lie between 0 and 1, thresholds are numbers.
+/// Checks that rates are between 0 and 1 and that thresholds are finite.
 fn check_evidence(file: &ModelFile) -> Result<(), String> {
     let rate = |name: &str, value: f64| match (0.0..=1.0).contains(&value) {
         true => Ok(()),
@@ -513,7 +535,8 @@ fn check_evidence(file: &ModelFile) -> Result<(), String> {
     Ok(())
 }
 
-/// A closed ring sweeps at least this angle \[deg\] (DESIGN, "The 16 features").
+/// A closed ring covers at least this angle \[deg\] (docs/features.md). It equals
+/// `dataset::FULL_RING_DEG`; this crate does not depend on `dataset`.
 const FULL_RING_DEG: f64 = 355.0;
 
 fn check_number(name: &str, value: f64) -> Result<(), String> {

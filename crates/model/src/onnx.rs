@@ -1,13 +1,13 @@
-//! A model as ONNX, for runtimes that know nothing of loopboost.
+//! Exports a model as ONNX, for use without loopboost.
 //!
 //! ```text
 //! F (n, n_features) f64 ──Gather──► (n, n_rounds) ──Less, Where, or Mul, Add──► ──ReduceSum──► confidence (n,) f64
-//!                         a Gather and a Less for each node of a tree, the Where from its leaves up
+//!                         trees: a Gather and a Less for each node, then a Where for each node from the leaves up
 //!                                                                      confidence >= threshold ──► label (n,) i64
 //! ```
 //!
-//! Source of the messages: `onnx.proto` of ONNX 1.16 (IR version 8, operator set 17); those that
-//! are needed, with their field numbers.
+//! The messages and field numbers are those of `onnx.proto` of ONNX 1.16 (IR version 8, operator set
+//! 17). Only the messages and fields that are needed are defined here.
 
 use prost::Message;
 
@@ -133,7 +133,7 @@ struct TensorShapeProto {
     dim: Vec<DimensionProto>,
 }
 
-/// A size or the name of one; a dimension has one of the two.
+/// A dimension: either a size or the name of a size.
 #[derive(Clone, PartialEq, Message)]
 struct DimensionProto {
     #[prost(int64, optional, tag = "1")]
@@ -142,9 +142,11 @@ struct DimensionProto {
     dim_param: Option<String>,
 }
 
-/// The bytes of an ONNX model: input `F`, the absolute feature differences `|f_a - f_b|` of n
-/// pairs, f64 `(n, n_features)`; outputs `confidence`, f64 `(n,)`, and `label`, i64 `(n,)`, which
-/// is 1 where the confidence is not less than the threshold and -1 elsewhere.
+/// The model as ONNX, serialised.
+///
+/// The input `F`, f64 `(n, n_features)`, contains the absolute feature differences `|f_a - f_b|` of n
+/// pairs. The outputs are `confidence`, f64 `(n,)`, and `label`, i64 `(n,)`. The label is 1 if the
+/// confidence is at least `threshold`, else -1.
 pub fn to_onnx(model: &Model, threshold: f64) -> Vec<u8> {
     let rounds = &model.classifier.rounds;
     let each = |of: fn(&WeakLearner) -> f64| rounds.iter().map(of).collect::<Vec<f64>>();
@@ -155,7 +157,7 @@ pub fn to_onnx(model: &Model, threshold: f64) -> Vec<u8> {
         graph.integers("features", vec![rounds.len() as i64], features.collect());
         graph.node("Gather", &["F", "features"], "chosen", Some(("axis", 1)));
     }
-    // A classifier's rounds are of one kind.
+    // All rounds of a classifier are of one kind.
     match rounds.first() {
         Some(WeakLearner::Tree(_)) => graph.trees(&trees),
         Some(WeakLearner::Line { .. }) | None => {
@@ -165,7 +167,7 @@ pub fn to_onnx(model: &Model, threshold: f64) -> Vec<u8> {
             graph.node("Add", &["scaled", "intercepts"], "values", None);
         }
         Some(_) => {
-            // `polarity F < polarity theta`; a step has polarity 1.
+            // The condition is `polarity F < polarity theta`. A step has polarity 1.
             graph.numbers("polarities", each(|weak| step(weak).0));
             graph.numbers("thresholds", each(|weak| step(weak).0 * step(weak).1));
             graph.numbers("if_below", each(|weak| step(weak).2));
@@ -221,7 +223,7 @@ pub fn to_onnx(model: &Model, threshold: f64) -> Vec<u8> {
     proto.encode_to_vec()
 }
 
-/// Slope and intercept of a line.
+/// Slope and intercept of a line; 0 for other weak learners.
 fn slope(weak: &WeakLearner) -> (f64, f64) {
     match *weak {
         WeakLearner::Line { slope, intercept, .. } => (slope, intercept),
@@ -229,7 +231,7 @@ fn slope(weak: &WeakLearner) -> (f64, f64) {
     }
 }
 
-/// Polarity, threshold, value below and value not below.
+/// Polarity, threshold, value below the threshold, and value at or above it.
 fn step(weak: &WeakLearner) -> (f64, f64, f64, f64) {
     match *weak {
         WeakLearner::Vote { threshold, polarity, alpha, .. } => {
@@ -254,9 +256,9 @@ struct Graph {
 }
 
 impl Graph {
-    /// `values`, `(n, n_rounds)`: of each tree the leaf, all trees of one depth. Node k is computed
-    /// for all trees at once, `Where` its feature is below its threshold the left child, else the
-    /// right one.
+    /// Adds nodes that compute `values`, `(n, n_rounds)`: the leaf of each tree. All trees get the
+    /// same depth. Node k is computed for all trees at once: `Where` selects the left child if the
+    /// feature is below the threshold, else the right child.
     fn trees(&mut self, trees: &[&Tree]) {
         let depth = trees.iter().map(|tree| tree.depth()).max().unwrap_or(1);
         let n_nodes = (1 << depth) - 1;

@@ -1,40 +1,42 @@
-//! A small regression tree, kept in place: scoring a pair follows it without an allocation.
+//! A small regression tree. It is stored inline, so scoring a pair allocates no memory.
 
-/// Levels of splits that a tree may have.
+/// Largest number of levels of splits.
 pub const MAX_DEPTH: usize = 3;
 
-/// A node: to the left child where F < threshold, else to the right one.
+/// A node: to the left child if F < threshold, else to the right child.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Node {
     /// Index of the feature.
     pub feature: usize,
-    /// theta; infinite at a node that does not split: all go left.
+    /// theta. It is infinite for a node that sends every pair to the left.
     pub threshold: f64,
 }
 
 impl Node {
-    /// A node that sends all to the left.
+    /// A node that sends every pair to the left.
     pub const PASS: Self = Self { feature: 0, threshold: f64::INFINITY };
 
-    /// Whether it tells pairs apart.
+    /// Whether the node can send a pair to the right.
     pub fn is_split(&self) -> bool {
         self.threshold.to_bits() != f64::INFINITY.to_bits()
     }
 }
 
-/// A complete binary tree of one to [`MAX_DEPTH`] levels of nodes and, below them, leaves.
+/// A complete binary tree with 1 to [`MAX_DEPTH`] levels of nodes, and leaves below them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tree {
     depth: usize,
-    /// Level by level, the children of k at 2 k + 1 and 2 k + 2; the first 2^depth - 1 count.
+    /// The nodes, level by level; the children of node k are nodes 2 k + 1 and 2 k + 2. Only the
+    /// first 2^depth - 1 are used.
     nodes: [Node; (1 << MAX_DEPTH) - 1],
-    /// From left to right; the first 2^depth count.
+    /// The leaves from left to right. Only the first 2^depth are used.
     leaves: [f64; 1 << MAX_DEPTH],
 }
 
 impl Tree {
-    /// A tree of 2^depth - 1 nodes, level by level, and 2^depth leaves, from left to right; none
-    /// where their numbers do not fit or the depth is not 1 to [`MAX_DEPTH`].
+    /// Creates a tree from 2^depth - 1 nodes, level by level, and 2^depth leaves, from left to right.
+    /// Returns `None` if the numbers of nodes and leaves do not match or if the depth is not 1 to
+    /// [`MAX_DEPTH`].
     pub fn new(nodes: &[Node], leaves: &[f64]) -> Option<Self> {
         let depth = (1..=MAX_DEPTH).find(|depth| leaves.len() == 1 << depth)?;
         if nodes.len() + 1 != leaves.len() {
@@ -50,23 +52,23 @@ impl Tree {
         Some(tree)
     }
 
-    /// Levels of splits.
+    /// Number of levels of splits.
     pub fn depth(&self) -> usize {
         self.depth
     }
 
-    /// Its nodes, level by level, `(2^depth - 1,)`.
+    /// The nodes, level by level, `(2^depth - 1,)`.
     pub fn nodes(&self) -> &[Node] {
         &self.nodes[..(1 << self.depth) - 1]
     }
 
-    /// Its leaves from left to right, `(2^depth,)`.
+    /// The leaves from left to right, `(2^depth,)`.
     pub fn leaves(&self) -> &[f64] {
         &self.leaves[..1 << self.depth]
     }
 
-    /// The same tree with `depth` levels, for a depth not less than its own: the nodes added send
-    /// all left.
+    /// The same tree with `depth` levels, if it has fewer. The added nodes send every pair to the
+    /// left.
     #[cfg(feature = "onnx")]
     pub(crate) fn deepened(&self, depth: usize) -> Self {
         let mut tree = *self;
@@ -82,7 +84,7 @@ impl Tree {
         tree
     }
 
-    /// The leaf that a pair comes to whose feature differences are asked for.
+    /// The value of the leaf that a pair reaches. `difference` returns the difference of a feature.
     #[inline]
     pub fn value_of(&self, difference: impl Fn(usize) -> f64) -> f64 {
         let mut k = 0;
@@ -99,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pairs_come_to_their_leaves() {
+    fn each_pair_reaches_its_leaf() {
         let node = |feature, threshold| Node { feature, threshold };
         let nodes = [node(0, 1.0), node(1, 5.0), node(1, 7.0)];
         let tree = Tree::new(&nodes, &[1.0, 2.0, 3.0, 4.0]).unwrap();
@@ -110,7 +112,7 @@ mod tests {
         assert_eq!(
             tree.value_of(|k| [0.5, 1e300][k]),
             1.0,
-            "a node that does not split sends all left"
+            "a node that does not split sends every pair to the left"
         );
         assert_eq!(Tree::new(&nodes[..1], &[1.0, 2.0]).unwrap().value_of(|_| 1.0), 2.0);
         assert_eq!(Tree::new(&nodes, &[1.0; 2]), None);

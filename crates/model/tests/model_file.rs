@@ -1,11 +1,13 @@
-//! Models survive the disk, and a damaged or altered one is refused.
+//! Saved models load with the same bits. Damaged and altered files are errors.
 
 mod common;
 
+use std::error::Error;
 use std::fs;
 use std::path::Path;
 
 use common::{is_same, model};
+use dataset::SplitMix64;
 use model::{Learner, Model, ModelError, ScanSpec, WeakLearner, load, save};
 use serde_json::{Value, json};
 
@@ -19,7 +21,7 @@ fn json_of(learner: Learner) -> String {
     fs::read_to_string(&saved.files[0]).unwrap()
 }
 
-/// What becomes of a file with these bytes.
+/// Loads a file with these bytes.
 fn load_bytes(bytes: &[u8]) -> Result<Model, ModelError> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("model.json");
@@ -27,18 +29,26 @@ fn load_bytes(bytes: &[u8]) -> Result<Model, ModelError> {
     load(&path)
 }
 
-/// Edits the JSON of a model, which must then be refused with these words.
+/// An error and its causes, separated by colons, as the program prints them.
+fn chain(error: &dyn Error) -> String {
+    match error.source() {
+        Some(source) => format!("{error}: {}", chain(source)),
+        None => error.to_string(),
+    }
+}
+
+/// Edits the JSON of a model. Loading it must fail with an error that contains `words`.
 #[track_caller]
 fn check_refused(learner: Learner, edit: impl FnOnce(&mut Value), words: &str) -> ModelError {
     let mut value: Value = serde_json::from_str(&json_of(learner)).unwrap();
     edit(&mut value);
     let refused = load_bytes(value.to_string().as_bytes()).expect_err(words);
-    let message = refused.to_string();
+    let message = chain(&refused);
     assert!(message.contains("model.json") && message.contains(words), "{message}");
     refused
 }
 
-/// The text of a model with the digest that belongs to it: the BLAKE3 of the text without one.
+/// The text of a model with a valid digest: the BLAKE3 digest of the text with an empty `digest`.
 fn signed(mut text: String) -> Option<String> {
     let start = text.find(DIGEST)? + DIGEST.len();
     let end = start + text[start..].find('"')?;
@@ -50,19 +60,20 @@ fn signed(mut text: String) -> Option<String> {
 
 const DIGEST: &str = "\n  \"digest\": \"";
 
-/// The digest that the text of a model carries.
+/// The digest in the text of a model.
 fn digest_in(text: &str) -> &str {
     &text[text.find(DIGEST).unwrap() + DIGEST.len()..][..64]
 }
 
-/// The text of a model with a part replaced, signed.
+/// The text of a model with a part replaced and a valid digest.
 #[track_caller]
 fn altered(text: &str, from: &str, to: &str) -> String {
     assert!(text.contains(from), "{from} is not in\n{text}");
     signed(text.replacen(from, to, 1)).unwrap()
 }
 
-/// Alters and signs a model, which must then be refused with these words.
+/// Replaces a part of a model and gives it a valid digest. Loading it must fail with an error that
+/// contains `words`.
 #[track_caller]
 fn check_invalid(learner: Learner, from: &str, to: &str, words: &str) {
     let refused = load_bytes(altered(&json_of(learner), from, to).as_bytes()).expect_err(words);
@@ -70,34 +81,24 @@ fn check_invalid(learner: Learner, from: &str, to: &str, words: &str) {
     assert!(what.contains(words) && refused.to_string().contains("model.json"), "{refused}");
 }
 
-/// Pseudo-random numbers of a seed: SplitMix64.
-fn random(mut state: u64) -> impl FnMut() -> u64 {
-    move || {
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
-    }
-}
-
 #[test]
-fn models_of_every_learner_survive() {
+fn models_of_every_learner_load_as_saved() {
     for learner in LEARNERS {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("campus/1.0.0/model.json");
         assert_eq!(save(folder.path(), &model(learner)).unwrap().files[0], path);
         assert_eq!(load(&path).unwrap(), model(learner));
-        assert_eq!(fs::read_dir(path.parent().unwrap()).unwrap().count(), 2, "nothing partial");
+        assert_eq!(fs::read_dir(path.parent().unwrap()).unwrap().count(), 2, "no temporary files");
     }
 }
 
 #[test]
-fn numbers_survive_bit_for_bit() {
-    let mut next = random(1);
-    let any = std::iter::repeat_with(|| f64::from_bits(next())).filter(|v| v.is_finite());
-    let seams = [-0.0, 5e-324, f64::MIN_POSITIVE, f64::MAX, f64::MIN, f64::EPSILON, 0.1 + 0.2];
-    let values: Vec<f64> = seams.into_iter().chain(any.take(2993)).collect();
+fn numbers_keep_their_bits() {
+    let mut random = SplitMix64::new(1);
+    let any =
+        std::iter::repeat_with(|| f64::from_bits(random.next_u64())).filter(|v| v.is_finite());
+    let edge_cases = [-0.0, 5e-324, f64::MIN_POSITIVE, f64::MAX, f64::MIN, f64::EPSILON, 0.1 + 0.2];
+    let values: Vec<f64> = edge_cases.into_iter().chain(any.take(2993)).collect();
     let step =
         |v: &[f64]| WeakLearner::Step { feature: 0, threshold: v[0], below: v[1], above: v[2] };
     let mut saved = model(Learner::GentleStump);
@@ -118,9 +119,9 @@ fn numbers_survive_bit_for_bit() {
 }
 
 #[test]
-fn altered_content_is_refused_and_both_digests_named() {
+fn the_error_for_altered_content_states_both_digests() {
     let text = json_of(Learner::Discrete);
-    let carried = digest_in(&text);
+    let stated = digest_in(&text);
     assert_eq!(signed(text.clone()).unwrap(), text);
     for (from, to) in [
         ("\"threshold\": 2.125", "\"threshold\": 2.25"),
@@ -134,22 +135,22 @@ fn altered_content_is_refused_and_both_digests_named() {
         let edited = text.replacen(from, to, 1);
         let refused = load_bytes(edited.as_bytes()).expect_err(to);
         let ModelError::Digest { found, expected, .. } = &refused else { panic!("{refused}") };
-        assert_eq!((found.as_str(), expected.as_str()), (carried, digest_in(&signed)));
+        assert_eq!((found.as_str(), expected.as_str()), (stated, digest_in(&signed)));
         let message = refused.to_string();
         assert!(message.contains(found) && message.contains(expected), "{message}");
-        // With its own digest it is another model.
+        // With a valid digest it is another model.
         let other = load_bytes(signed.as_bytes()).expect(to);
         assert!(!is_same(&other, &model(Learner::Discrete)), "{to}");
     }
-    for digest in ["", "00ff", &"0".repeat(64), &carried.to_uppercase()] {
-        let refused = load_bytes(text.replace(carried, digest).as_bytes()).expect_err(digest);
+    for digest in ["", "00ff", &"0".repeat(64), &stated.to_uppercase()] {
+        let refused = load_bytes(text.replace(stated, digest).as_bytes()).expect_err(digest);
         let ModelError::Digest { found, expected, .. } = &refused else { panic!("{refused}") };
-        assert_eq!((found.as_str(), expected.as_str()), (digest, carried));
+        assert_eq!((found.as_str(), expected.as_str()), (digest, stated));
     }
 }
 
 #[test]
-fn the_same_content_written_otherwise_is_the_same_model() {
+fn equal_content_in_other_json_is_the_same_model() {
     let text = json_of(Learner::Discrete);
     let sorted: Value = serde_json::from_str(&text).unwrap();
     for other in [
@@ -167,34 +168,38 @@ fn the_same_content_written_otherwise_is_the_same_model() {
 }
 
 #[test]
-fn a_file_that_is_no_model_of_this_format_is_refused() {
+fn files_that_are_not_models_are_errors() {
     let missing = load(Path::new("no/such/model.json")).unwrap_err();
     assert!(matches!(missing, ModelError::Io { action: "read", .. }));
     assert!(missing.to_string().contains("cannot read no/such/model.json"), "{missing}");
-    for text in ["", "{", "model", "[]", "7", "null", "{}", "\u{feff}{}", &"[".repeat(100_000)] {
+    for text in ["", "{", "model", "\u{feff}{}", &"[".repeat(100_000)] {
         let refused = load_bytes(text.as_bytes()).unwrap_err();
         assert!(matches!(refused, ModelError::NotAModel { .. }), "{refused}");
+    }
+    for text in ["[]", "7", "null", "{}"] {
+        let refused = load_bytes(text.as_bytes()).unwrap_err();
+        assert!(matches!(refused, ModelError::NoVersion { .. }), "{refused}");
     }
     let large = tempfile::NamedTempFile::new().unwrap();
     large.as_file().set_len(65 << 20).unwrap();
     let refused = load(large.path()).unwrap_err();
-    let ModelError::NotAModel { detail, .. } = refused else { panic!("{refused}") };
-    assert_eq!(detail, "68157440 bytes, a model has at most 67108864");
+    assert!(matches!(refused, ModelError::TooLarge { n_bytes: 68_157_440, .. }), "{refused}");
+    assert!(refused.to_string().contains("it has 68157440 bytes, expected 67108864 or less"));
 
     for found in [json!(2), json!(0), json!("1"), json!(null), json!(1.5)] {
-        let words = format!("has format version {found}, this program reads version 1");
+        let words = format!("has format version {found}, expected 1");
         let refused = check_refused(Learner::Discrete, |f| f["format_version"] = found, &words);
         assert!(matches!(refused, ModelError::Version { .. }));
         assert!(refused.to_string().contains("loopboost train"), "{refused}");
     }
 }
 
-/// The places of the objects whose keys are fixed.
+/// The objects whose keys are fixed, as JSON pointers.
 const OBJECTS: [&str; 7] =
     ["", "/features", "/scans", "/training", "/measured/0", "/operating_points/0", "/rounds/0"];
 
 #[test]
-fn unknown_and_missing_fields_are_named() {
+fn unknown_and_missing_fields_are_reported_by_name() {
     for learner in LEARNERS {
         let file: Value = serde_json::from_str(&json_of(learner)).unwrap();
         for place in OBJECTS {
@@ -207,14 +212,18 @@ fn unknown_and_missing_fields_are_named() {
                     file.pointer_mut(place).unwrap().as_object_mut().unwrap().remove(key);
                 };
                 let refused = check_refused(learner, remove, key);
-                assert!(matches!(refused, ModelError::NotAModel { .. }), "{place} {key}");
+                let is_expected = match (place, key.as_str()) {
+                    ("", "format_version") => matches!(refused, ModelError::NoVersion { .. }),
+                    _ => matches!(refused, ModelError::NotAModel { .. }),
+                };
+                assert!(is_expected, "{place} {key}");
             }
         }
     }
 }
 
 #[test]
-fn a_field_that_stands_twice_is_refused() {
+fn duplicate_fields_are_errors() {
     for learner in LEARNERS {
         let text = json_of(learner);
         let mut n_fields = 0;
@@ -229,8 +238,8 @@ fn a_field_that_stands_twice_is_refused() {
             let twice = text.replacen(line, &twice, 1);
             let refused = load_bytes(twice.as_bytes()).expect_err(line);
             let words = format!("duplicate field `{}`", key.trim_matches('"'));
-            let ModelError::NotAModel { detail, .. } = refused else { panic!("{refused}") };
-            assert!(detail.contains(&words), "{detail}");
+            assert!(matches!(refused, ModelError::NotAModel { .. }), "{refused}");
+            assert!(chain(&refused).contains(&words), "{}", chain(&refused));
             n_fields += 1;
         }
         assert!(31 < n_fields, "{n_fields}");
@@ -238,11 +247,11 @@ fn a_field_that_stands_twice_is_refused() {
 }
 
 #[test]
-fn values_that_cannot_be_are_named() {
+fn invalid_values_are_reported_by_name() {
     use Learner::Discrete;
     let unknown = "rounds[0].feature: `colour` is not among features.names";
     check_invalid(Discrete, "\"feature\": \"distance\"", "\"feature\": \"colour\"", unknown);
-    let twice = "features.names: a name stands there twice";
+    let twice = "features.names: duplicate name";
     check_invalid(Discrete, "\"centroid\"", "\"size\"", twice);
     for name in ["", "../campus", ".campus", "a/b", "a b", "a\u{e4}"] {
         let words = format!("name: `{name}`, expected letters");
@@ -303,7 +312,7 @@ fn values_that_cannot_be_are_named() {
     check_refused(Discrete, |f| f["learner"] = json!("forest"), "variant `forest`");
 }
 
-/// The lines that hold a number, as (line, what stands before it).
+/// The lines with a number, as (line number, text before the number).
 fn number_lines(text: &str) -> Vec<(usize, String)> {
     let number = |(k, line): (usize, &str)| {
         let (key, value) = line.split_once(": ")?;
@@ -312,7 +321,7 @@ fn number_lines(text: &str) -> Vec<(usize, String)> {
     text.lines().enumerate().filter_map(number).collect()
 }
 
-/// The text with line `k` replaced; a comma at its end stays.
+/// The text with line `k` replaced. A comma at the end of the line stays.
 fn with_line(text: &str, k: usize, line: &str) -> String {
     let mut lines: Vec<&str> = text.lines().collect();
     let replaced = format!("{line}{}", if lines[k].ends_with(',') { "," } else { "" });
@@ -321,7 +330,7 @@ fn with_line(text: &str, k: usize, line: &str) -> String {
 }
 
 #[test]
-fn numbers_that_are_not_finite_are_refused() {
+fn numbers_that_are_not_finite_are_errors() {
     for learner in LEARNERS {
         let text = json_of(learner);
         let lines = number_lines(&text);
@@ -332,7 +341,8 @@ fn numbers_that_are_not_finite_are_refused() {
                 let refused = load_bytes(edited.as_bytes()).expect_err(&before);
                 assert!(matches!(refused, ModelError::NotAModel { .. }), "{before}: {refused}");
             }
-            // Null is a precision of nothing (0.9375 here); the options of `label` may be anything.
+            // Null is valid only for a precision (0.9375 here) and in the options of `label`, which may
+            // be any JSON.
             let line = text.lines().nth(k).unwrap();
             let may_be_null = line.contains("positive_radius_m") || line.contains("0.9375");
             let edited = signed(with_line(&text, k, &format!("{before}null"))).unwrap();
@@ -341,10 +351,10 @@ fn numbers_that_are_not_finite_are_refused() {
     }
 }
 
-/// One of the damages that a disk, a hand or a program may do to a file.
+/// A file with one kind of damage: flipped bits, a truncation, a duplicate line or another number.
 fn damage(text: &str, seed: u64) -> Vec<u8> {
-    let mut next = random(seed);
-    let mut below = |n: usize| (next() % n as u64) as usize;
+    let mut random = SplitMix64::new(seed);
+    let mut below = |n: usize| (random.next_u64() % n as u64) as usize;
     let mut bytes = text.as_bytes().to_vec();
     match below(4) {
         0 => (0..=below(3)).for_each(|_| bytes[below(text.len())] ^= 1 << below(8)),
@@ -367,7 +377,7 @@ fn damage(text: &str, seed: u64) -> Vec<u8> {
 }
 
 #[test]
-fn damaged_files_are_refused_or_hold_the_same_model() {
+fn damaged_files_are_errors_or_give_the_same_model() {
     let texts = LEARNERS.map(json_of);
     let (mut n_digest, mut n_signed) = (0, 0);
     for seed in 0..1200 {
@@ -379,7 +389,7 @@ fn damaged_files_are_refused_or_hold_the_same_model() {
                 assert!(refused.to_string().contains("model.json"), "{refused}");
             }
         }
-        // Signed, so that the digest does not stand before the checks: what loads can be saved.
+        // With a valid digest, the other checks decide. If the model loads, it can be saved.
         let Some(signed) = String::from_utf8(bytes).ok().and_then(signed) else { continue };
         if let Ok(loaded) = load_bytes(signed.as_bytes()) {
             n_signed += 1;
@@ -393,22 +403,23 @@ fn damaged_files_are_refused_or_hold_the_same_model() {
 }
 
 #[test]
-fn a_coverage_beyond_single_precision_is_refused() {
+fn a_coverage_beyond_single_precision_is_an_error() {
     for value in ["359.7", "360.1"] {
         let text = json_of(Learner::Discrete).replace(value, "1e39");
         let refused = load_bytes(text.as_bytes()).unwrap_err();
-        let ModelError::NotAModel { detail, .. } = refused else { panic!("{refused}") };
-        assert!(detail.contains("number out of range at line"), "{detail}");
+        assert!(matches!(refused, ModelError::NotAModel { .. }), "{refused}");
+        let message = chain(&refused);
+        assert!(message.contains("number out of range at line"), "{message}");
     }
 }
 
 #[test]
-fn scans_of_another_kind_are_refused_and_both_kinds_named() {
+fn the_error_for_scans_of_another_kind_states_both_kinds() {
     let rings = model(Learner::Discrete).scans;
     assert!(rings.check(355.0, true).is_ok() && rings.check(360.2, true).is_ok());
     let message = rings.check(180.0, false).unwrap_err().to_string();
-    assert!(message.contains("trained on full rings (359.7 deg)"), "{message}");
-    assert!(message.contains("a part of the circle (180 deg)"), "{message}");
+    assert!(message.contains("the scan covers part of the circle (180 deg)"), "{message}");
+    assert!(message.contains("scans that cover the full circle (359.7 deg)"), "{message}");
 
     let parts = ScanSpec { is_ring: false, coverage_min_deg: 180.0, ..rings };
     assert!(parts.check(180.0, false).is_ok() && parts.check(359.9, true).is_err());

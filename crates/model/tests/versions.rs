@@ -1,4 +1,4 @@
-//! `save` picks the version, finds equal content again, and refuses what `load` would refuse.
+//! `save` chooses the version, finds existing equal content, and checks the same values as `load`.
 
 mod common;
 
@@ -15,7 +15,7 @@ use semver::Version;
 
 /// The model with an edit.
 fn edited(edit: impl FnOnce(&mut Model)) -> Model {
-    // The version in the model does not matter.
+    // `save` ignores the version of the model.
     let mut model = Model { version: Version::new(9, 9, 9), ..model(Learner::Discrete) };
     edit(&mut model);
     model
@@ -25,7 +25,7 @@ fn retrain(model: &mut Model) {
     model.training.digests.insert("pairs".into(), "00fe".into());
 }
 
-/// Every file below a folder, with its bytes.
+/// The bytes of every file below a folder, by path.
 fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut tree = BTreeMap::new();
     for entry in fs::read_dir(folder).unwrap() {
@@ -39,8 +39,8 @@ fn tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     tree
 }
 
-/// Saves the model with an edit, which must get this version, be read back as it is, have its
-/// card, and leave all else alone.
+/// Saves the model with an edit. Checks that it gets this version, that it loads as saved, that it has
+/// its card, and that no other file changes.
 #[track_caller]
 fn check_saved(models: &Path, edit: impl FnOnce(&mut Model), version: [u64; 3], is_new: bool) {
     let before = tree(models);
@@ -58,11 +58,11 @@ fn check_saved(models: &Path, edit: impl FnOnce(&mut Model), version: [u64; 3], 
     if is_new {
         assert!(files.iter().all(|file| after.remove(file).is_some()));
     }
-    assert!(after == before, "something else was written");
+    assert!(after == before, "another file was changed");
 }
 
 #[test]
-fn what_differs_from_the_newest_version_tells_the_next() {
+fn the_next_version_depends_on_what_differs_from_the_newest_version() {
     fn check(edit: fn(&mut Model), version: [u64; 3], is_new: bool) {
         let folder = tempfile::tempdir().unwrap();
         check_saved(folder.path(), |_| {}, [1, 0, 0], true);
@@ -87,7 +87,7 @@ fn what_differs_from_the_newest_version_tells_the_next() {
 }
 
 #[test]
-fn equal_content_is_found_again_in_any_version() {
+fn equal_content_is_found_in_any_version() {
     let folder = tempfile::tempdir().unwrap();
     let models = folder.path();
     check_saved(models, |_| {}, [1, 0, 0], true);
@@ -95,13 +95,13 @@ fn equal_content_is_found_again_in_any_version() {
     check_saved(models, |_| {}, [1, 0, 0], false);
     check_saved(models, |m| m.features.gate_m = 3.0, [2, 0, 0], true);
     check_saved(models, retrain, [1, 1, 0], false);
-    // The newest has the other gate.
+    // The newest version has another gate.
     check_saved(models, |m| m.seed = 1, [3, 0, 0], true);
     check_saved(models, |_| {}, [1, 0, 0], false);
 }
 
 #[test]
-fn the_newest_version_is_the_greatest_that_holds_a_model() {
+fn the_newest_version_is_the_largest_that_contains_a_model() {
     let folder = tempfile::tempdir().unwrap();
     let models = folder.path();
     for minor in 0..=10 {
@@ -112,7 +112,7 @@ fn the_newest_version_is_the_greatest_that_holds_a_model() {
     }
     check_saved(models, |m| m.seed = 10, [1, 10, 0], false);
     check_saved(models, retrain, [1, 11, 0], true);
-    // Damaged versions are not what was saved; they stay as they are.
+    // Damaged versions differ from what was saved. They are not changed.
     fs::write(models.join("campus/1.3.0/model.json"), "{").unwrap();
     check_saved(models, |m| m.seed = 3, [1, 12, 0], true);
     fs::write(models.join("campus/1.12.0/model.json"), "{").unwrap();
@@ -120,7 +120,7 @@ fn the_newest_version_is_the_greatest_that_holds_a_model() {
 }
 
 #[test]
-fn a_lost_card_is_written_again() {
+fn a_missing_card_is_written_again() {
     let folder = tempfile::tempdir().unwrap();
     let models = folder.path();
     check_saved(models, |_| {}, [1, 0, 0], true);
@@ -132,11 +132,12 @@ fn a_lost_card_is_written_again() {
 }
 
 #[test]
-fn a_card_lists_what_a_user_must_know() {
+fn a_card_states_the_training_data_and_the_measured_errors() {
     let folder = tempfile::tempdir().unwrap();
     let saved = save(folder.path(), &model(Learner::Discrete)).unwrap();
     let text = fs::read_to_string(&saved.files[1]).unwrap();
-    // 0.015 of 2437, by hand: denominator 1.0015763, centre 0.0157633, half 0.0048822.
+    // Wilson interval of 0.015 for 2437 pairs, computed by hand: denominator 1.0015763, centre
+    // 0.0157633, half width 0.0048822.
     for line in [
         "# campus 1.0.0\n",
         "| learner | `discrete`, 2 rounds |\n",
@@ -154,7 +155,8 @@ fn a_card_lists_what_a_user_must_know() {
     assert!(card(&silent).contains("| no pair classified as positive |"));
 }
 
-/// Saves the model with an edit, which must be refused with these words and write nothing.
+/// Saves the model with an edit. Saving must fail with an error that contains `words`, and must not
+/// write any file.
 #[track_caller]
 fn check_refused(edit: impl FnOnce(&mut Model), words: &str) {
     let folder = tempfile::tempdir().unwrap();
@@ -163,10 +165,10 @@ fn check_refused(edit: impl FnOnce(&mut Model), words: &str) {
         matches!(&refused, ModelError::Invalid { what, .. } if what.contains(words)),
         "{refused}"
     );
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "{words}: something was written");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "{words}: a file was written");
 }
 
-/// The numbers of a model, with their names in the file.
+/// The numbers of a model with their names in the file.
 fn numbers(model: &mut Model) -> Vec<(&'static str, &mut f64)> {
     let FeatureSpec { gate_m, .. } = &mut model.features;
     let ScanSpec { range_min_m, range_max_m, .. } = &mut model.scans;
@@ -198,14 +200,15 @@ fn numbers(model: &mut Model) -> Vec<(&'static str, &mut f64)> {
             ("rounds[0].below", below),
             ("rounds[0].above", above),
         ],
-        // A tree lends its numbers to nobody; `a_tree_with_a_number_that_cannot_be_is_not_saved`.
+        // The numbers of a tree cannot be changed; see
+        // `a_tree_with_an_invalid_number_is_not_saved`.
         WeakLearner::Tree(_) => Vec::new(),
     });
     numbers
 }
 
 #[test]
-fn a_model_with_a_number_that_cannot_be_is_not_saved() {
+fn a_model_with_an_invalid_number_is_not_saved() {
     for learner in [Learner::Discrete, Learner::GentleLine, Learner::GentleStump] {
         let n_numbers = numbers(&mut model(learner)).len();
         for k in 0..n_numbers {
@@ -234,7 +237,7 @@ fn a_model_with_a_number_that_cannot_be_is_not_saved() {
 }
 
 #[test]
-fn a_tree_with_a_number_that_cannot_be_is_not_saved() {
+fn a_tree_with_an_invalid_number_is_not_saved() {
     let with = |threshold: f64, leaf: f64| {
         let node = Node { feature: 1, threshold };
         move |m: &mut Model| {
@@ -261,13 +264,13 @@ fn a_model_whose_name_is_a_path_is_not_saved() {
 }
 
 #[test]
-fn a_refused_model_leaves_the_saved_ones_alone() {
+fn an_invalid_model_does_not_change_saved_models() {
     let folder = tempfile::tempdir().unwrap();
     check_saved(folder.path(), |_| {}, [1, 0, 0], true);
     let before = tree(folder.path());
     save(folder.path(), &edited(|m| m.measured[0].error = 7.0)).unwrap_err();
     assert!(tree(folder.path()) == before);
     check_refused(|m| m.classifier.rounds.clear(), "rounds: none");
-    check_refused(|m| m.features.names.push("size".into()), "a name stands there twice");
+    check_refused(|m| m.features.names.push("size".into()), "duplicate name");
     check_refused(|m| m.classifier.learner = Learner::GentleLine, "rounds[0].kind: `vote`");
 }

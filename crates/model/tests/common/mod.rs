@@ -1,4 +1,4 @@
-//! A model to save, and to compare with.
+//! A model for the tests.
 
 use model::{
     Classifier, FeatureSpec, Learner, Measured, Model, Node, OperatingPoint, ScanSpec, Training,
@@ -72,7 +72,7 @@ pub fn model(learner: Learner) -> Model {
     }
 }
 
-/// Whether two models are equal bit for bit, but for the bits of a NaN.
+/// Whether two models have the same bits, except for the bits of a NaN.
 pub fn is_same(one: &Model, other: &Model) -> bool {
     format!("{one:?}") == format!("{other:?}")
 }
