@@ -1,7 +1,7 @@
 //! Every reader of a message's bytes, and what holds whatever the bytes are.
 
 use messages::{
-    Encoding, MessageType, PointCloud, Source, VelodyneScan, foxglove, is_whole, read_imu,
+    Encoding, MessageType, PointCloud, Source, VelodyneScan, foxglove, is_plausible_message, read_imu,
     read_joint_state, read_laser_scan, read_nav_sat_fix, read_odometry, read_point_cloud,
     read_pose, read_transforms, read_velodyne, ros,
 };
@@ -13,7 +13,7 @@ use messages::{
 pub fn read_as_everything(encoding: Encoding, bytes: &[u8]) {
     for message_type in MessageType::ALL {
         let source = Source { message_type, encoding };
-        let whole = is_whole(source, bytes);
+        let whole = is_plausible_message(source, bytes);
         let mut read = false;
         let mut note = |is_ok: bool| read |= is_ok;
         note(read_velodyne(source, bytes).map(|scan| all_packets(&scan)).is_ok());

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject};
-use messages::{Encoding, MessageType, Source, is_whole};
+use messages::{Encoding, MessageType, Source, is_plausible_message};
 
 use crate::error::IngestError;
 use crate::mcap::chunk::{self, Buffer};
@@ -255,6 +255,6 @@ fn sniff(log: &Log, contents: &Contents, id: u16, types: &[MessageType]) -> Opti
         .iter()
         .map(|&message_type| Source { message_type, encoding })
         .filter(|source| source.message_type.encodings().contains(&encoding))
-        .filter(|&source| is_whole(source, &first));
+        .filter(|&source| is_plausible_message(source, &first));
     suitable.next().filter(|_| suitable.next().is_none())
 }

@@ -87,7 +87,7 @@ fn a_protocol_buffer_is_told_from_all_other_types() {
     let told = |hex| {
         let bytes = bytes_of(hex);
         let fits = |&message_type: &MessageType| {
-            is_whole(source(message_type, Encoding::Protobuf), &bytes)
+            is_plausible_message(source(message_type, Encoding::Protobuf), &bytes)
         };
         MessageType::ALL.into_iter().filter(fits).collect::<Vec<_>>()
     };

@@ -21,8 +21,8 @@ use std::marker::PhantomData;
 use serde::de::{DeserializeOwned, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-pub use crate::nouns::{LaserScan, StampedPose3};
 pub use crate::source::{Encoding, MessageType};
+pub use crate::types::{LaserScan, StampedPose3};
 pub use laser_scan::write_laser_scan;
 pub use point_cloud::write_point_cloud2;
 pub use poses::{write_odometry, write_pose_stamped, write_pose_with_covariance_stamped};

@@ -15,12 +15,12 @@ const MAX_NORM_ERROR: f64 = 1e-3;
 /// transforms of finite numbers and unit quaternions; an IMU of finite numbers; joints with names
 /// and at most one value each; a fix on the globe. JSON passes over what it does not know: there a
 /// scan or a cloud with a pose of its own may be a `foxglove.PoseInFrame` as well.
-pub fn is_whole(source: Source, bytes: &[u8]) -> bool {
+pub fn is_plausible_message(source: Source, bytes: &[u8]) -> bool {
     let max_left = if source.encoding == Encoding::Cdr { MAX_CDR_PADDING } else { 0 };
-    plausible(source, bytes).is_ok_and(|decoded| decoded.value && decoded.n_left <= max_left)
+    check_values(source, bytes).is_ok_and(|decoded| decoded.value && decoded.n_left <= max_left)
 }
 
-fn plausible(source: Source, bytes: &[u8]) -> Result<Decoded<bool>> {
+fn check_values(source: Source, bytes: &[u8]) -> Result<Decoded<bool>> {
     Ok(match source.message_type {
         MessageType::VelodyneScan | MessageType::VelodynePacket => read::velodyne(source, bytes)?
             .map(|scan| {

@@ -13,7 +13,7 @@ fn source(message_type: MessageType, encoding: Encoding) -> Source {
 fn told(encoding: Encoding, bytes: &[u8]) -> Vec<MessageType> {
     MessageType::ALL
         .into_iter()
-        .filter(|&message_type| is_whole(source(message_type, encoding), bytes))
+        .filter(|&message_type| is_plausible_message(source(message_type, encoding), bytes))
         .collect()
 }
 
@@ -75,7 +75,11 @@ fn padding_may_follow_in_cdr_alone() {
         let whole = ros::write_pose_stamped(encoding, "map", &POSE);
         for n_padding in 0..12 {
             let padded = [&whole[..], &[0; 12][..n_padding]].concat();
-            assert_eq!(is_whole(source, &padded), n_padding <= max_padding, "{n_padding}");
+            assert_eq!(
+                is_plausible_message(source, &padded),
+                n_padding <= max_padding,
+                "{n_padding}"
+            );
         }
     }
 }
@@ -84,7 +88,7 @@ fn padding_may_follow_in_cdr_alone() {
 fn what_no_sensor_says_is_not_whole() {
     let is_pose = |pose: &StampedPose3| {
         let bytes = ros::write_pose_stamped(Encoding::Cdr, "map", pose);
-        is_whole(source(MessageType::PoseStamped, Encoding::Cdr), &bytes)
+        is_plausible_message(source(MessageType::PoseStamped, Encoding::Cdr), &bytes)
     };
     assert!(is_pose(&POSE));
     assert!(!is_pose(&StampedPose3 { orientation: [0.0, 0.0, 0.6, 0.802], ..POSE }));
@@ -92,7 +96,7 @@ fn what_no_sensor_says_is_not_whole() {
 
     let is_scan = |packets: &[(i64, [u8; 1206])]| {
         let bytes = ros::write_velodyne_scan(Encoding::Cdr, "velodyne", 9, packets);
-        is_whole(source(MessageType::VelodyneScan, Encoding::Cdr), &bytes)
+        is_plausible_message(source(MessageType::VelodyneScan, Encoding::Cdr), &bytes)
     };
     let packet = PacketBuilder::new([9; 12], 7).finish();
     assert!(is_scan(&[(1, packet)]));
@@ -110,7 +114,7 @@ fn what_no_sensor_says_is_not_whole() {
             ranges: vec![1.0; n_beams],
         };
         let bytes = ros::write_laser_scan(Encoding::Cdr, "laser", &scan);
-        is_whole(source(MessageType::LaserScan, Encoding::Cdr), &bytes)
+        is_plausible_message(source(MessageType::LaserScan, Encoding::Cdr), &bytes)
     };
     assert!(laser(0.0, 2));
     assert!(!laser(0.0, 1));
