@@ -1,110 +1,111 @@
-//! What can be wrong with a message.
+//! Errors of readers.
 
 use crate::hdl32e;
 use crate::source::{Encoding, MessageType};
 
-/// What can be wrong with the bytes of one message or packet.
+/// Why the bytes of a message or packet cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MessageError {
-    /// A reader was given messages of a type that does not hold what it reads.
-    #[error("{found} holds no {expected}")]
+    /// The reader does not read this message type.
+    #[error("cannot read {expected} from {found} messages")]
     WrongType {
-        /// What was to be read, as `laser scan`.
+        /// The data that the reader reads, for example `a laser scan`.
         expected: &'static str,
-        /// The type of the messages.
+        /// The message type.
         found: MessageType,
     },
-    /// The message type does not come in this encoding.
-    #[error("{message} is not read from {found}, expected {}", list(expected))]
+    /// The message type does not exist in this encoding.
+    #[error("cannot read {message} messages in encoding {found}, expected {}", list(expected))]
     WrongEncoding {
-        /// The message's type name.
+        /// Name of the message type.
         message: &'static str,
-        /// The encodings that it comes in.
+        /// The encodings of this message type.
         expected: &'static [Encoding],
-        /// The encoding asked for.
+        /// The requested encoding.
         found: Encoding,
     },
-    /// The bytes end before the message does.
-    #[error("{message} ends at byte {found} where at least {expected} are needed")]
+    /// The bytes end before the message ends.
+    #[error("{message} message has {found} bytes, expected {expected} or more")]
     TooShort {
-        /// The message's type name.
+        /// Name of the message type.
         message: &'static str,
-        /// Bytes needed so far.
+        /// Number of bytes needed so far.
         expected: usize,
-        /// Bytes there are.
+        /// Number of bytes.
         found: usize,
     },
-    /// The four bytes before a CDR body name an encoding that is not plain CDR.
+    /// The CDR encapsulation header states an encoding other than plain CDR.
     #[error(
-        "CDR encapsulation {found:#06x} is not supported, expected 0x0000 (big endian) or 0x0001 (little endian)"
+        "CDR encapsulation is {found:#06x}, expected 0x0000 (big endian) or 0x0001 (little endian)"
     )]
     Encapsulation {
-        /// The two bytes found.
+        /// The first two bytes of the header.
         found: u16,
     },
-    /// The body does not decode as the message its schema names.
+    /// The bytes do not decode as the message type.
     #[error("bytes do not decode as {message}: {detail}")]
     Malformed {
-        /// The message's type name.
+        /// Name of the message type.
         message: &'static str,
-        /// What the decoder said.
+        /// The cause.
         detail: String,
     },
-    /// A point cloud whose sizes and fields contradict each other.
-    #[error("point cloud layout: {detail}")]
+    /// The sizes and fields of a point cloud contradict each other.
+    #[error("invalid point cloud layout: {detail}")]
     CloudLayout {
         /// The contradiction.
         detail: String,
     },
-    /// A point cloud without a field that is needed.
-    #[error("point cloud has no field `{field}`; there are {}", found.join(", "))]
+    /// A point cloud lacks a required field.
+    #[error("point cloud has no field `{field}`, found {}", found.join(", "))]
     NoField {
-        /// The field.
+        /// The required field.
         field: String,
-        /// The fields there are.
+        /// The fields of the cloud.
         found: Vec<String>,
     },
     /// An angle of a scan is NaN or infinite.
     #[error("{message} has an angle that is not finite")]
     NotFinite {
-        /// The message's type name.
+        /// Name of the message type.
         message: &'static str,
     },
-    /// A data packet of another length.
-    #[error("packet has {found} bytes, an HDL-32E data packet has {}", hdl32e::PACKET_BYTES)]
+    /// A packet has another length than an HDL-32E data packet.
+    #[error("packet has {found} bytes, expected {} (HDL-32E data packet)", hdl32e::PACKET_BYTES)]
     PacketLength {
-        /// Bytes found.
+        /// Number of bytes.
         found: usize,
     },
-    /// A block that does not start with the flag of the upper (and only) laser bank.
-    #[error("block {block} starts with {found:#06x}, an HDL-32E block with 0xeeff")]
+    /// A block does not start with the flag of an HDL-32E block.
+    #[error("block {block} starts with {found:#06x}, expected 0xeeff (HDL-32E block)")]
     BlockFlag {
         /// Block, 0 to 11.
         block: usize,
-        /// The flag found.
+        /// The flag.
         found: u16,
     },
-    /// An azimuth that is no angle.
+    /// An azimuth is out of range.
     #[error("block {block} has azimuth {found}, expected 0 to 35999 hundredths of a degree")]
     Azimuth {
         /// Block, 0 to 11.
         block: usize,
-        /// The azimuth found \[0.01 deg\].
+        /// The azimuth \[0.01 deg\].
         found: u16,
     },
 }
 
 impl MessageError {
-    /// What is wrong, in a few words that are the same for all messages wrong in this way.
+    /// A short description, without values that differ from message to message. It is used to count
+    /// messages with the same error.
     pub fn kind(&self) -> String {
         match self {
             Self::WrongType { .. } | Self::WrongEncoding { .. } => self.to_string(),
             Self::TooShort { .. } => "too short".to_owned(),
             Self::Encapsulation { found } => {
-                format!("encapsulation {found:#06x}, expected plain CDR, 0x0000 or 0x0001")
+                format!("encapsulation {found:#06x}, expected 0x0000 or 0x0001 (plain CDR)")
             }
             Self::Malformed { .. } => "malformed".to_owned(),
-            Self::CloudLayout { .. } => "a point cloud of contradictory layout".to_owned(),
+            Self::CloudLayout { .. } => "contradictory point cloud layout".to_owned(),
             Self::NoField { field, found } => {
                 format!("no field `{field}`; there are {}", found.join(", "))
             }
@@ -116,7 +117,7 @@ impl MessageError {
     }
 }
 
-/// `Result` of this crate.
+/// The `Result` of this crate.
 pub type Result<T> = std::result::Result<T, MessageError>;
 
 fn list(encodings: &[Encoding]) -> String {

@@ -10,39 +10,40 @@
 
 use crate::{MessageError, Result};
 
-/// Bytes of a data packet (UDP payload).
+/// Length of a data packet (UDP payload) \[bytes\].
 pub const PACKET_BYTES: usize = 1206;
-/// Blocks (firings of all lasers) in a packet.
+/// Number of blocks in a packet. A block is one firing of all lasers.
 pub const BLOCKS: usize = 12;
-/// Lasers in a block, in firing order.
+/// Number of lasers in a block.
 pub const LASERS: usize = 32;
-/// The laser whose beam is horizontal (0.00 deg), in firing order; ring 23 when sorted by elevation.
+/// The laser with the horizontal beam (0.00 deg), in firing order. Sorted by elevation it is ring 23.
 pub const HORIZONTAL_LASER: usize = 15;
-/// Bytes of a block.
+/// Length of a block \[bytes\].
 const BLOCK_BYTES: usize = 100;
-/// First two bytes of every block.
+/// The first two bytes of every block.
 pub const BLOCK_FLAG: u16 = 0xEEFF;
-/// Bytes of a position packet, which the sensor sends to port 8308 (manual, "Position packet").
+/// Length of a position packet, which the sensor sends to port 8308 (manual, "Position packet")
+/// \[bytes\].
 pub const POSITION_PACKET_BYTES: usize = 512;
 /// One count of a distance \[m\].
 pub const METRES_PER_COUNT: f64 = 0.002;
-/// Counts of azimuth in a full turn; one count is 0.01 deg.
+/// Counts of azimuth in a full revolution. One count is 0.01 deg.
 pub const AZIMUTH_COUNTS: u16 = 36_000;
 /// Time between two lasers of a block \[ns\].
 pub const LASER_PERIOD_NS: i64 = 1_152;
 /// Time between two blocks: 32 laser firings and 8 periods of recharge \[ns\].
 pub const BLOCK_PERIOD_NS: i64 = 46_080;
-/// Time that a packet spans; its stamp is its end \[ns\].
+/// Time between the start and the end of a packet \[ns\]. The stamp of a packet is its end.
 pub const PACKET_PERIOD_NS: i64 = BLOCK_PERIOD_NS * BLOCKS as i64;
-/// Laser periods in a block period: the share of the azimuth step passed at laser `k` is `k / 40`.
+/// Laser periods in a block period. Laser `k` fires after the share `k / 40` of the azimuth step.
 pub const PERIODS_PER_BLOCK: i64 = BLOCK_PERIOD_NS / LASER_PERIOD_NS;
-/// Microseconds in the hour that the device clock counts.
+/// Microseconds in an hour. The device clock wraps at this value.
 pub const HOUR_US: u32 = 3_600_000_000;
-/// Product byte of an HDL-32E. Early VLP-16 send it too.
+/// Product byte of an HDL-32E. Early VLP-16 sensors send the same byte.
 pub const PRODUCT_HDL32E: u8 = 0x21;
 
-/// Elevation of each laser in firing order \[deg\] (manual, "Laser angles": from -30.67 to +10.67
-/// in steps of 4/3, the lower half interleaved with the upper).
+/// Elevation of each laser in firing order \[deg\]. The elevations are -30.67 to +10.67 in steps of
+/// 4/3, and the lower half is interleaved with the upper half (manual, "Laser angles").
 pub const ELEVATION_DEG: [f64; LASERS] = {
     let mut deg = [0.0; LASERS];
     let mut k = 0;
@@ -61,12 +62,13 @@ pub enum ReturnMode {
     Strongest,
     /// 0x38: the last return.
     Last,
-    /// 0x39: blocks come in pairs of one azimuth: the last return, then the strongest.
+    /// 0x39: blocks come in pairs with the same azimuth. The first block of a pair contains the last
+    /// return, the second the strongest.
     Dual,
 }
 
 impl ReturnMode {
-    /// The byte on the wire.
+    /// The byte in the packet.
     pub fn byte(self) -> u8 {
         match self {
             Self::Strongest => 0x37,
@@ -85,14 +87,14 @@ impl ReturnMode {
     }
 }
 
-/// One data packet, borrowed from the message that holds it.
+/// One data packet, borrowed from the bytes of a message.
 #[derive(Debug, Clone, Copy)]
 pub struct Packet<'a> {
     bytes: &'a [u8; PACKET_BYTES],
 }
 
 impl<'a> Packet<'a> {
-    /// Checks length, block flags and azimuths; every later access is then infallible.
+    /// Checks the length, the block flags and the azimuths. No later access can fail.
     pub fn new(bytes: &'a [u8]) -> Result<Self> {
         let packet = Self {
             bytes: bytes
@@ -112,13 +114,13 @@ impl<'a> Packet<'a> {
         Ok(packet)
     }
 
-    /// Azimuth of the block's first firing \[0.01 deg, clockwise\].
+    /// Azimuth of the first firing of a block, clockwise \[0.01 deg\].
     #[inline]
     pub fn azimuth(&self, block: usize) -> u16 {
         self.u16_at(block * BLOCK_BYTES + 2)
     }
 
-    /// Distance of one return \[2 mm\]; 0 is no return.
+    /// Distance of one return \[2 mm\]; 0 means no return.
     #[inline]
     pub fn distance(&self, block: usize, laser: usize) -> u16 {
         self.u16_at(block * BLOCK_BYTES + 4 + laser * 3)
@@ -130,9 +132,9 @@ impl<'a> Packet<'a> {
         self.bytes[block * BLOCK_BYTES + 4 + laser * 3 + 2]
     }
 
-    /// The lasers that have a return in any block: bit `k` is laser `k`.
+    /// The lasers with a return in any block: bit `k` is laser `k`.
     pub fn returns_of(&self) -> u32 {
-        // All blocks in one, byte by byte; the distance of a laser is then 0 if it was in each.
+        // The bitwise OR of all blocks. The distance of a laser is 0 if it is 0 in every block.
         let mut any = [0u8; 3 * LASERS];
         for block in self.bytes.as_chunks::<BLOCK_BYTES>().0 {
             for (any, byte) in any.iter_mut().zip(&block[4..]) {
@@ -147,19 +149,19 @@ impl<'a> Packet<'a> {
         bits.sum()
     }
 
-    /// The device clock: microseconds past the hour.
+    /// The device clock: time past the hour \[us\].
     #[inline]
     pub fn device_time_us(&self) -> u32 {
         let b = self.bytes;
         u32::from_le_bytes([b[1200], b[1201], b[1202], b[1203]])
     }
 
-    /// The return mode, none where the byte is unknown (older firmware).
+    /// The return mode; `None` if the byte is unknown (older firmware).
     pub fn return_mode(&self) -> Option<ReturnMode> {
         ReturnMode::from_byte(self.bytes[1204])
     }
 
-    /// The product byte; it can lie (see [`PRODUCT_HDL32E`]).
+    /// The product byte. It can be wrong (see [`PRODUCT_HDL32E`]).
     pub fn product(&self) -> u8 {
         self.bytes[1205]
     }
@@ -170,13 +172,15 @@ impl<'a> Packet<'a> {
     }
 }
 
-/// Another Velodyne model, named where a packet of 1206 bytes has the block flags of one; none for
-/// the HDL-32E's own layout (which the VLP-16 and the VLP-32C share) and for what is no packet.
+/// The name of another Velodyne model, if a packet of 1206 bytes has the block flags of that model.
+/// `None` for the layout of the HDL-32E, which the VLP-16 and the VLP-32C share, and for bytes that
+/// are not a packet.
 ///
 /// Sources: HDL-64E S3 User's Manual 63-HDL64ES3, appendix "Data packet format": the lasers 0 to 31
-/// come in blocks of 0xEEFF, 32 to 63 in blocks of 0xDDFF. VLS-128 User Manual, chapter 9 "Sensor
-/// data": a firing of 128 lasers takes four blocks; their flags 0xEEFF, 0xDDFF, 0xCCFF and 0xBBFF,
-/// and that dual-return mode leaves blocks empty, as in `tier4/nebula`, `nebula_decoders_velodyne`.
+/// are in blocks with the flag 0xEEFF, the lasers 32 to 63 in blocks with 0xDDFF. VLS-128 User Manual,
+/// chapter 9 "Sensor data": a firing of 128 lasers has four blocks. Their flags 0xEEFF, 0xDDFF, 0xCCFF
+/// and 0xBBFF, and the empty blocks in dual-return mode, are taken from `tier4/nebula`,
+/// `nebula_decoders_velodyne`.
 pub fn foreign_layout(bytes: &[u8]) -> Option<&'static str> {
     let packet: &[u8; PACKET_BYTES] = bytes.try_into().ok()?;
     let mut model = None;
@@ -191,20 +195,21 @@ pub fn foreign_layout(bytes: &[u8]) -> Option<&'static str> {
     model
 }
 
-/// Whether the bytes are, by their number, a position packet: GPS time and the sensor's own
-/// gyroscopes, no distances. Drivers that record both ports mix them in.
+/// Whether the bytes have the length of a position packet. A position packet contains GPS time and the
+/// gyroscopes of the sensor, but no distances. Drivers that record both ports mix them with data
+/// packets.
 pub fn is_position_packet(bytes: &[u8]) -> bool {
     bytes.len() == POSITION_PACKET_BYTES
 }
 
-/// A packet under construction: no returns, strongest mode, until set.
+/// Builds a packet. It starts without returns and in the strongest-return mode.
 #[derive(Debug, Clone)]
 pub struct PacketBuilder {
     bytes: [u8; PACKET_BYTES],
 }
 
 impl PacketBuilder {
-    /// A packet without returns whose blocks have the given azimuths \[0.01 deg\].
+    /// Starts a packet without returns. `azimuths` are the azimuths of the blocks \[0.01 deg\].
     pub fn new(azimuths: [u16; BLOCKS], device_time_us: u32) -> Self {
         let mut bytes = [0; PACKET_BYTES];
         for (block, azimuth) in azimuths.iter().enumerate() {
@@ -217,7 +222,7 @@ impl PacketBuilder {
         Self { bytes }
     }
 
-    /// Sets one return: distance \[2 mm\] and intensity.
+    /// Sets the distance \[2 mm\] and the intensity of one return.
     pub fn set_return(&mut self, block: usize, laser: usize, distance: u16, intensity: u8) {
         let at = block * BLOCK_BYTES + 4 + laser * 3;
         self.bytes[at..at + 2].copy_from_slice(&distance.to_le_bytes());
@@ -234,7 +239,7 @@ impl PacketBuilder {
         self.bytes[1205] = product;
     }
 
-    /// The packet's bytes.
+    /// The bytes of the packet.
     pub fn finish(self) -> [u8; PACKET_BYTES] {
         self.bytes
     }
@@ -245,11 +250,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn laser_15_is_the_horizontal_one_and_ring_23() {
+    fn laser_15_is_horizontal_and_is_ring_23() {
         assert!(ELEVATION_DEG[HORIZONTAL_LASER].abs() < 1e-12);
         let below = ELEVATION_DEG.iter().filter(|&&deg| deg < -1e-9).count();
         assert_eq!(below, 23);
-        // First three lasers of the manual's table: -30.67, -9.33, -29.33.
+        // The first three lasers in the table of the manual: -30.67, -9.33, -29.33.
         assert!((ELEVATION_DEG[0] + 30.667).abs() < 1e-3);
         assert!((ELEVATION_DEG[1] + 9.333).abs() < 1e-3);
         assert!((ELEVATION_DEG[2] + 29.333).abs() < 1e-3);
@@ -262,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn a_packet_reads_as_written() {
         let azimuths = std::array::from_fn(|k| (35_990 + 17 * k as u16) % AZIMUTH_COUNTS);
         let mut builder = PacketBuilder::new(azimuths, 3_599_999_999);
         builder.set_return(11, 31, 0xABCD, 7);
@@ -284,20 +289,20 @@ mod tests {
     }
 
     #[test]
-    fn lasers_with_a_return_in_any_block() {
+    fn returns_of_reports_lasers_with_a_return_in_any_block() {
         let mut builder = PacketBuilder::new([0; BLOCKS], 0);
         assert_eq!(Packet::new(&builder.clone().finish()).unwrap().returns_of(), 0);
         builder.set_return(0, 0, 1, 0);
         builder.set_return(11, 31, 0x0100, 0);
         builder.set_return(3, 15, 500, 9);
         builder.set_return(4, 15, 500, 9);
-        builder.set_return(5, 7, 0, 255); // an intensity alone is no return
+        builder.set_return(5, 7, 0, 255); // an intensity without a distance is not a return
         let bytes = builder.finish();
         assert_eq!(Packet::new(&bytes).unwrap().returns_of(), 1 << 31 | 1 << 15 | 1);
     }
 
     #[test]
-    fn other_models_are_named_by_their_flags() {
+    fn block_flags_identify_other_models() {
         let with_flags = |flags: &[u16]| {
             let mut bytes = PacketBuilder::new([0; BLOCKS], 0).finish();
             for (block, flag) in flags.iter().cycle().take(BLOCKS).enumerate() {
@@ -316,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_packet_is_refused() {
+    fn bytes_that_are_not_a_packet_are_errors() {
         let good = PacketBuilder::new([0; BLOCKS], 0).finish();
         assert_eq!(
             Packet::new(&good[..512]).unwrap_err(),

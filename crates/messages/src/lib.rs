@@ -1,13 +1,29 @@
-//! What robot logs hold: the HDL-32E data packet ([`hdl32e`]) and the messages around it, of ROS 2
-//! and ROS 1 ([`ros`]) and of Foxglove ([`foxglove`]), read and written.
+//! The message formats in robot logs: the HDL-32E data packet ([`hdl32e`]), the messages of ROS 2 and
+//! ROS 1 ([`ros`]), and the messages of Foxglove ([`foxglove`]). This crate reads and writes them.
 //!
-//! A [`Source`] says what a channel's messages are; one reader per noun turns a message's bytes into
-//! it: [`read_velodyne`], [`read_laser_scan`], [`read_point_cloud`], [`read_pose`],
-//! [`read_odometry`], [`read_imu`], [`read_joint_state`], [`read_nav_sat_fix`],
-//! [`read_transforms`]. [`is_plausible_message`] tells what a channel without a schema holds.
+//! A [`Source`] is the type and the encoding of the messages of a channel. There is one reader per
+//! type of data: [`read_velodyne`], [`read_laser_scan`], [`read_point_cloud`], [`read_pose`],
+//! [`read_odometry`], [`read_imu`], [`read_joint_state`], [`read_nav_sat_fix`] and
+//! [`read_transforms`]. For a channel without a schema, [`is_plausible_message`] checks whether a
+//! message could be of a given type.
 //!
-//! Invariant: this crate knows neither files nor MCAP; it sees one message's bytes at a time. No
-//! bytes make a reader panic, and none makes it allocate more than a small multiple of their number.
+//! This crate knows neither files nor MCAP; it works on the bytes of one message at a time. No bytes
+//! make a reader panic, and a reader allocates at most a small multiple of the number of bytes.
+//!
+//! ```
+//! use messages::{Source, StampedPose3, read_pose, ros};
+//!
+//! let pose = StampedPose3 {
+//!     stamp_ns: 1_000_000_000,
+//!     position: [1.0, 2.0, 0.0],
+//!     orientation: [0.0, 0.0, 0.0, 1.0],
+//! };
+//! // The schema name and the message encoding, as in an MCAP channel.
+//! let source = Source::new("geometry_msgs/msg/PoseStamped", "cdr").unwrap();
+//! let bytes = ros::write_pose_stamped(source.encoding, "map", &pose);
+//! assert_eq!(read_pose(source, &bytes)?, pose);
+//! # Ok::<(), messages::MessageError>(())
+//! ```
 
 mod error;
 pub mod foxglove;

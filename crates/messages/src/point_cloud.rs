@@ -1,44 +1,44 @@
-//! A cloud of points whose fields lie interleaved in memory, as sensors and drivers send it.
+//! A point cloud with interleaved fields, as sensors and drivers send it.
 
 use std::borrow::Cow;
 
 use crate::{MessageError, Result};
 
-/// A cloud of points in the sensor's frame: `height` rows of `width` points.
+/// A point cloud in the frame of the sensor: `height` rows of `width` points.
 ///
-/// A cloud that was read is consistent: every field fits into a point, and all rows are there.
+/// A cloud from a reader is consistent: every field fits into a point, and all rows are complete.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PointCloud<'a> {
-    /// Header stamp; which point it belongs to is the driver's choice \[ns since the epoch\].
+    /// Header stamp \[ns since the epoch\]. It depends on the driver which point the stamp belongs to.
     pub stamp_ns: i64,
-    /// Points in a row.
+    /// Number of points in a row.
     pub width: usize,
-    /// Rows; 1 in a cloud without order.
+    /// Number of rows; 1 for an unordered cloud.
     pub height: usize,
-    /// From a point to the next \[bytes\].
+    /// Distance from one point to the next \[bytes\].
     pub point_step: usize,
-    /// From a row to the next \[bytes\].
+    /// Distance from one row to the next \[bytes\].
     pub row_step: usize,
-    /// Byte order of the fields.
+    /// Whether the fields are big endian.
     pub big_endian: bool,
-    /// What a point consists of.
+    /// The fields of a point.
     pub fields: Vec<PointField>,
     /// The points.
     pub data: Cow<'a, [u8]>,
 }
 
-/// One value of each point.
+/// A field of a point.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PointField {
-    /// Its name, as `x` or `ring`.
+    /// The name, for example `x` or `ring`.
     pub name: String,
-    /// From the point's start \[bytes\].
+    /// Offset from the start of the point \[bytes\].
     pub offset: usize,
-    /// How it is stored.
+    /// The data type.
     pub kind: Scalar,
 }
 
-/// How a field is stored.
+/// The data type of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Scalar {
     /// `i8`
@@ -60,7 +60,7 @@ pub enum Scalar {
 }
 
 impl Scalar {
-    /// Its size \[bytes\].
+    /// The size \[bytes\].
     pub fn n_bytes(self) -> usize {
         match self {
             Self::I8 | Self::U8 => 1,
@@ -77,13 +77,13 @@ impl<'a> PointCloud<'a> {
         self.width.saturating_mul(self.height)
     }
 
-    /// Whether there is no point.
+    /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// The field of that name, of every point; none where the cloud has no such field (or was built
-    /// by hand and contradicts itself).
+    /// The values of a field for all points. `None` if the cloud has no field with this name, or if it
+    /// is inconsistent, which can only happen for a cloud that does not come from a reader.
     pub fn column(&self, name: &str) -> Option<Column<'_>> {
         let field = self.fields.iter().find(|field| field.name == name)?;
         self.check_field(field).ok()?;
@@ -101,9 +101,9 @@ impl<'a> PointCloud<'a> {
         })
     }
 
-    /// The cloud, if its sizes and fields agree. A single row needs no step to the next: whatever
-    /// the message says there is replaced by the row's own length; in a cloud without points, whose
-    /// other sizes may be any, by 0.
+    /// Checks that the sizes and the fields are consistent. A single row does not need `row_step`, so
+    /// the value from the message is replaced by the length of the row. In a cloud without points it
+    /// is replaced by 0, and the other sizes may have any value.
     pub(crate) fn checked(mut self) -> Result<Self> {
         if self.is_empty() {
             self.row_step = 0;
@@ -121,14 +121,14 @@ impl<'a> PointCloud<'a> {
         let end = field.offset.saturating_add(field.kind.n_bytes());
         if self.point_step < end {
             return Err(layout(format!(
-                "field `{}` ends at byte {end} of a point of {} bytes",
+                "field `{}` ends at byte {end}, but a point has {} bytes",
                 field.name, self.point_step
             )));
         }
         Ok(())
     }
 
-    /// All rows are there and do not overlap, so that there are no more points than bytes.
+    /// Checks that all rows are complete and do not overlap. There are then no more points than bytes.
     fn check_extent(&self) -> Result<()> {
         let Self { width, height, point_step, row_step, .. } = *self;
         if width == 0 || height == 0 {
@@ -140,7 +140,7 @@ impl<'a> PointCloud<'a> {
             && row_step < row
         {
             return Err(layout(format!(
-                "rows are {row_step} bytes apart, {width} points of {point_step} bytes take {row}"
+                "rows are {row_step} bytes apart, but {width} points of {point_step} bytes have {row} bytes"
             )));
         }
         let needed = (height - 1)
@@ -189,16 +189,16 @@ impl Column<'_> {
         self.len
     }
 
-    /// Whether there is no point.
+    /// Whether there are no points.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// The value of one point, `index = row * width + column`; every kind fits into an `f64`
+    /// The value of the point `index = row * width + column`. An `f64` represents every data type
     /// exactly.
     ///
     /// # Panics
-    /// If there is no such point, as a slice does.
+    /// Panics if there is no such point.
     #[inline]
     pub fn get(&self, index: usize) -> f64 {
         let start = if self.has_gaps {
@@ -219,7 +219,7 @@ impl Column<'_> {
         }
     }
 
-    /// `N` bytes, in little-endian order.
+    /// `N` bytes in little-endian order.
     #[inline]
     fn raw<const N: usize>(&self, at: usize) -> [u8; N] {
         let mut raw = [0; N];
@@ -239,7 +239,7 @@ mod tests {
         PointField { name: name.to_owned(), offset, kind }
     }
 
-    /// Two rows of two points of 3 bytes (a byte, then a word), rows 8 bytes apart.
+    /// Two rows of two points. A point has 3 bytes, an `i8` and a `u16`. Rows are 8 bytes apart.
     fn padded(big_endian: bool) -> PointCloud<'static> {
         PointCloud {
             stamp_ns: 0,
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn a_column_steps_over_the_padding_of_rows_in_both_byte_orders() {
+    fn a_column_skips_the_padding_of_rows_in_both_byte_orders() {
         let values = |cloud: &PointCloud<'_>, name| {
             let column = cloud.column(name).unwrap();
             (0..column.len()).map(|index| column.get(index)).collect::<Vec<_>>()
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_reads_its_own_bytes() {
+    fn every_data_type_is_read_in_both_byte_orders() {
         let minus_two = [
             (Scalar::I8, (-2i8).to_le_bytes().to_vec(), -2.0),
             (Scalar::U8, vec![254], 254.0),
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn what_contradicts_itself_is_refused() {
+    fn an_inconsistent_layout_is_an_error() {
         let refused = |change: fn(&mut PointCloud<'_>)| {
             let mut cloud = padded(false);
             change(&mut cloud);
@@ -306,26 +306,26 @@ mod tests {
         };
         assert_eq!(
             refused(|cloud| cloud.fields[1].offset = 2),
-            "point cloud layout: field `b` ends at byte 4 of a point of 3 bytes"
+            "invalid point cloud layout: field `b` ends at byte 4, but a point has 3 bytes"
         );
         assert_eq!(
             refused(|cloud| cloud.row_step = 5),
-            "point cloud layout: rows are 5 bytes apart, 2 points of 3 bytes take 6"
+            "invalid point cloud layout: rows are 5 bytes apart, but 2 points of 3 bytes have 6 bytes"
         );
         assert_eq!(
             refused(|cloud| cloud.height = 3),
-            "point cloud layout: 2 x 3 points of 3 bytes do not fit into 14 bytes"
+            "invalid point cloud layout: 2 x 3 points of 3 bytes do not fit into 14 bytes"
         );
         refused(|cloud| cloud.fields[1].offset = usize::MAX);
         refused(|cloud| cloud.width = usize::MAX);
         refused(|cloud| (cloud.height, cloud.row_step) = (usize::MAX, usize::MAX));
-        let many_points_of_nothing =
+        let points_without_bytes =
             PointCloud { point_step: 0, row_step: 0, fields: vec![], ..padded(false) };
-        assert!(many_points_of_nothing.checked().is_err());
+        assert!(points_without_bytes.checked().is_err());
     }
 
     #[test]
-    fn a_single_row_needs_no_row_step() {
+    fn the_row_step_of_a_single_row_is_ignored() {
         for row_step in [0, 6, 7, usize::MAX] {
             let cloud = PointCloud { height: 1, row_step, ..padded(false) }.checked().unwrap();
             assert_eq!((cloud.row_step, cloud.column("b").unwrap().get(1)), (6, 1027.0));

@@ -1,4 +1,4 @@
-//! One reader per noun, whatever the message type and encoding.
+//! One reader per type of data, for all message types and encodings.
 
 use crate::wire::Decoded;
 use crate::{
@@ -6,34 +6,34 @@ use crate::{
     Source, StampedPose3, Transform, VelodyneScan, foxglove, ros,
 };
 
-/// Reads the packets of a `VelodyneScan`, or of a `VelodynePacket` the one.
+/// Reads the packets of a `VelodyneScan`, or the packet of a `VelodynePacket`.
 pub fn read_velodyne(source: Source, bytes: &[u8]) -> Result<VelodyneScan<'_>> {
     velodyne(source, bytes).map(|decoded| decoded.value)
 }
 
 /// Reads a planar scan: `sensor_msgs/LaserScan` or `foxglove.LaserScan`.
 ///
-/// Foxglove's gives no range limits: they are 0 and infinity; its pose is ignored, a scan is in the
-/// lidar's own frame.
+/// A `foxglove.LaserScan` has no range limits; they are set to 0 and infinity. Its pose is ignored: a
+/// scan is in the frame of the lidar.
 pub fn read_laser_scan(source: Source, bytes: &[u8]) -> Result<LaserScan> {
     laser_scan(source, bytes).map(|decoded| decoded.value)
 }
 
 /// Reads a cloud of points: `sensor_msgs/PointCloud2` or `foxglove.PointCloud`.
 ///
-/// The pose of Foxglove's is ignored, a cloud is in the lidar's own frame.
+/// The pose of a `foxglove.PointCloud` is ignored: a cloud is in the frame of the lidar.
 pub fn read_point_cloud(source: Source, bytes: &[u8]) -> Result<PointCloud<'_>> {
     point_cloud(source, bytes).map(|decoded| decoded.value)
 }
 
 /// Reads a pose: `geometry_msgs/PoseStamped`, `geometry_msgs/PoseWithCovarianceStamped`,
-/// `foxglove.PoseInFrame`, or that of a `nav_msgs/Odometry`.
+/// `foxglove.PoseInFrame`, or the pose of a `nav_msgs/Odometry`.
 pub fn read_pose(source: Source, bytes: &[u8]) -> Result<StampedPose3> {
     pose(source, bytes).map(|decoded| decoded.value)
 }
 
-/// Reads a pose as [`read_pose`] does, and its covariance where the type has one: that of (x, y, z,
-/// rotation about x, y, z), (6, 6) row by row \[m, rad\].
+/// Reads a pose like [`read_pose`], and its covariance if the message type has one. The covariance is
+/// that of (x, y, z, rotation about x, y, z), (6, 6), row by row \[m, rad\].
 pub fn read_pose_and_covariance(
     source: Source,
     bytes: &[u8],
@@ -48,8 +48,9 @@ pub fn read_odometry(source: Source, bytes: &[u8]) -> Result<Odometry> {
 
 /// Reads a `sensor_msgs/Imu`.
 ///
-/// Its orientation is none where the message says so (first element of the covariance -1) or leaves
-/// it all zero; its acceleration where the message says so.
+/// The orientation is `None` if the first element of its covariance is -1, which means "not
+/// measured", or if the quaternion is all zero. The acceleration is `None` if the first element of
+/// its covariance is -1.
 pub fn read_imu(source: Source, bytes: &[u8]) -> Result<Imu> {
     imu(source, bytes).map(|decoded| decoded.value)
 }
@@ -64,7 +65,7 @@ pub fn read_nav_sat_fix(source: Source, bytes: &[u8]) -> Result<NavSatFix> {
     nav_sat_fix(source, bytes).map(|decoded| decoded.value)
 }
 
-/// Reads the transforms of a `tf2_msgs/TFMessage`, or of a `foxglove.FrameTransform` the one.
+/// Reads the transforms of a `tf2_msgs/TFMessage`, or the transform of a `foxglove.FrameTransform`.
 pub fn read_transforms(source: Source, bytes: &[u8]) -> Result<Vec<Transform>> {
     transforms(source, bytes).map(|decoded| decoded.value)
 }
@@ -81,7 +82,7 @@ pub(crate) fn laser_scan(source: Source, bytes: &[u8]) -> Result<Decoded<LaserSc
     match source.message_type {
         MessageType::LaserScan => ros::laser_scan(source.encoding, bytes),
         MessageType::FoxgloveLaserScan => foxglove::laser_scan(source.encoding, bytes),
-        found => Err(MessageError::WrongType { expected: "laser scan", found }),
+        found => Err(MessageError::WrongType { expected: "a laser scan", found }),
     }
 }
 
@@ -89,7 +90,7 @@ pub(crate) fn point_cloud(source: Source, bytes: &[u8]) -> Result<Decoded<PointC
     match source.message_type {
         MessageType::PointCloud2 => ros::point_cloud(source.encoding, bytes),
         MessageType::FoxglovePointCloud => foxglove::point_cloud(source.encoding, bytes),
-        found => Err(MessageError::WrongType { expected: "point cloud", found }),
+        found => Err(MessageError::WrongType { expected: "a point cloud", found }),
     }
 }
 
@@ -111,7 +112,7 @@ fn pose_and_covariance(
         MessageType::FoxglovePoseInFrame => {
             foxglove::pose(encoding, bytes)?.map(|pose| (pose, None))
         }
-        found => return Err(MessageError::WrongType { expected: "pose", found }),
+        found => return Err(MessageError::WrongType { expected: "a pose", found }),
     })
 }
 
@@ -125,21 +126,21 @@ fn odometry(source: Source, bytes: &[u8]) -> Result<Decoded<Odometry>> {
 pub(crate) fn imu(source: Source, bytes: &[u8]) -> Result<Decoded<Imu>> {
     match source.message_type {
         MessageType::Imu => ros::imu(source.encoding, bytes),
-        found => Err(MessageError::WrongType { expected: "inertial measurement", found }),
+        found => Err(MessageError::WrongType { expected: "an inertial measurement", found }),
     }
 }
 
 pub(crate) fn joint_state(source: Source, bytes: &[u8]) -> Result<Decoded<JointState>> {
     match source.message_type {
         MessageType::JointState => ros::joint_state(source.encoding, bytes),
-        found => Err(MessageError::WrongType { expected: "joint state", found }),
+        found => Err(MessageError::WrongType { expected: "a joint state", found }),
     }
 }
 
 pub(crate) fn nav_sat_fix(source: Source, bytes: &[u8]) -> Result<Decoded<NavSatFix>> {
     match source.message_type {
         MessageType::NavSatFix => ros::nav_sat_fix(source.encoding, bytes),
-        found => Err(MessageError::WrongType { expected: "satellite fix", found }),
+        found => Err(MessageError::WrongType { expected: "a satellite fix", found }),
     }
 }
 
@@ -149,6 +150,6 @@ pub(crate) fn transforms(source: Source, bytes: &[u8]) -> Result<Decoded<Vec<Tra
         MessageType::FoxgloveFrameTransform => {
             Ok(foxglove::transform(source.encoding, bytes)?.map(|transform| vec![transform]))
         }
-        found => Err(MessageError::WrongType { expected: "transform", found }),
+        found => Err(MessageError::WrongType { expected: "transforms", found }),
     }
 }

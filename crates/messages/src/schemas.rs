@@ -1,26 +1,24 @@
-//! Schema texts of the ROS messages that are written, in the form that MCAP prescribes for
-//! `ros2msg` and `ros1msg`: the type's own definition, then each dependency behind a line of `=` and
-//! its name.
+//! Schema texts of the ROS messages that can be written, in the form that MCAP defines for `ros2msg`
+//! and `ros1msg`: the definition of the type, then each dependency after a line of `=` and its name.
 //!
-//! Source: the ROS packages `std_msgs`, `builtin_interfaces`, `geometry_msgs`, `nav_msgs`,
-//! `sensor_msgs`, `tf2_msgs` and `velodyne_msgs` (their `.msg` files without comments and
-//! constants).
+//! Source: the `.msg` files, without comments and constants, of the ROS packages `std_msgs`,
+//! `builtin_interfaces`, `geometry_msgs`, `nav_msgs`, `sensor_msgs`, `tf2_msgs` and `velodyne_msgs`.
 
 use crate::source::{Encoding, MessageType};
 
-/// A schema as an MCAP file records it.
+/// A schema, as it is stored in an MCAP file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Schema {
-    /// Its name, as `sensor_msgs/msg/Imu`.
+    /// The name, for example `sensor_msgs/msg/Imu`.
     pub name: &'static str,
-    /// The schema's own encoding: `ros2msg` or `ros1msg`.
+    /// The encoding of the schema: `ros2msg` or `ros1msg`.
     pub encoding: &'static str,
-    /// The definition and those it depends on.
+    /// The definition of the type and of its dependencies.
     pub text: String,
 }
 
-/// The schema of a ROS message type in an encoding; none for Foxglove's types, and where the type
-/// does not come in the encoding.
+/// The schema of a ROS message type in an encoding. `None` for Foxglove's types and for encodings in
+/// which the type does not exist.
 pub fn of(message_type: MessageType, encoding: Encoding) -> Option<Schema> {
     let schema_encoding = match encoding {
         Encoding::Cdr => "ros2msg",
@@ -38,7 +36,7 @@ pub fn of(message_type: MessageType, encoding: Encoding) -> Option<Schema> {
     Some(Schema { name, encoding: schema_encoding, text })
 }
 
-/// A `.msg` file. Definitions name types as `pkg/Type` in both generations.
+/// The text of a `.msg` file. Types are written as `pkg/Type` in ROS 1 and in ROS 2.
 fn definition(name: &str, encoding: Encoding) -> Option<String> {
     let (_, fields) = DEFINITIONS.iter().find(|(defined, _)| *defined == name)?;
     let mut text = String::new();
@@ -53,8 +51,8 @@ fn definition(name: &str, encoding: Encoding) -> Option<String> {
     Some(text)
 }
 
-/// The types that a type is made of, in the order of their use; the header and what it is made of,
-/// which nearly all share, come last.
+/// The types that a type depends on, in the order of their use. The header and its own dependency,
+/// which most types share, come last.
 fn dependencies(name: &str, encoding: Encoding) -> Option<Vec<&'static str>> {
     fn visit(name: &str, encoding: Encoding, found: &mut Vec<&'static str>) -> Option<()> {
         for line in definition(name, encoding)?.lines() {
@@ -77,12 +75,12 @@ fn dependencies(name: &str, encoding: Encoding) -> Option<Vec<&'static str>> {
 
 const HEADER: &str = "std_msgs/Header";
 const TIME: &str = "builtin_interfaces/Time";
-/// A field that ROS 1 calls `time stamp`.
+/// A field that is `time stamp` in ROS 1.
 const ROS2_TIME_FIELD: &str = "builtin_interfaces/Time stamp";
 /// A field that ROS 2 does not have.
 const ROS1_SEQ_FIELD: &str = "uint32 seq";
 
-/// Each type's fields.
+/// The fields of each type.
 #[rustfmt::skip]
 const DEFINITIONS: [(&str, &str); 24] = [
     ("velodyne_msgs/VelodyneScan",
@@ -145,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_texts_of_a_scan_in_both_generations() {
+    fn schema_texts_of_a_velodyne_scan() {
         let ros2 = of(MessageType::VelodyneScan, Encoding::Cdr).unwrap();
         assert_eq!((ros2.name, ros2.encoding), ("velodyne_msgs/msg/VelodyneScan", "ros2msg"));
         let expected = "\
@@ -191,7 +189,7 @@ string frame_id
     }
 
     #[test]
-    fn every_ros_type_has_a_schema_in_both_generations_and_no_other() {
+    fn exactly_the_ros_types_have_schemas() {
         for message_type in MessageType::ALL {
             let of_ros = message_type.encodings() == [Encoding::Cdr, Encoding::Ros1];
             assert_eq!(of(message_type, Encoding::Cdr).is_some(), of_ros);

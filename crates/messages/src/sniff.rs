@@ -1,20 +1,26 @@
-//! What a channel without a schema holds, told by what its bytes decode as.
+//! Content sniffing: checks whether a message of a channel without a schema could be of a given type.
 
 use crate::hdl32e::Packet;
 use crate::wire::{Decoded, MAX_CDR_PADDING};
 use crate::{Encoding, MessageType, Result, Source, read};
 
-/// A quaternion whose norm is farther from 1 than this was never one.
+/// Largest plausible difference between 1 and the norm of a quaternion.
 const MAX_NORM_ERROR: f64 = 1e-3;
 
-/// Whether the bytes are one message of this type, from the first to the last, and say something
-/// that such a message would.
+/// Whether all of the bytes decode as one message of this type, and its values are plausible.
 ///
-/// CDR may be followed by up to 8 bytes of padding. Plausible are packets of an HDL-32E's layout, at
-/// least one; a scan with finite angles and two beams; a cloud with a field; poses and
-/// transforms of finite numbers and unit quaternions; an IMU of finite numbers; joints with names
-/// and at most one value each; a fix on the globe. JSON passes over what it does not know: there a
-/// scan or a cloud with a pose of its own may be a `foxglove.PoseInFrame` as well.
+/// Up to 8 bytes of padding may follow a CDR message. These messages are plausible:
+///
+/// - Velodyne packets: at least one packet, all with the layout of an HDL-32E;
+/// - a scan with finite angles and at least two beams;
+/// - a cloud with at least one field;
+/// - poses and transforms with finite numbers and unit quaternions;
+/// - an IMU measurement with finite numbers;
+/// - a joint state with names, and with no or one position and velocity per joint;
+/// - a fix with a latitude of up to 90 deg and a longitude of up to 180 deg.
+///
+/// The JSON decoder ignores unknown fields. A scan or a cloud in JSON that contains a pose is
+/// therefore also plausible as a `foxglove.PoseInFrame`.
 pub fn is_plausible_message(source: Source, bytes: &[u8]) -> bool {
     let max_left = if source.encoding == Encoding::Cdr { MAX_CDR_PADDING } else { 0 };
     check_values(source, bytes).is_ok_and(|decoded| decoded.value && decoded.n_left <= max_left)

@@ -1,11 +1,11 @@
-//! What a channel's messages are: their type and how their bytes are laid out.
+//! The type and the encoding of the messages of a channel.
 
 use std::fmt;
 
-/// How a message's bytes are laid out.
+/// The encoding of messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Encoding {
-    /// ROS 2: CDR, with encapsulation header.
+    /// ROS 2: CDR with an encapsulation header.
     Cdr,
     /// ROS 1.
     Ros1,
@@ -18,12 +18,12 @@ pub enum Encoding {
 impl Encoding {
     const ALL: [Self; 4] = [Self::Cdr, Self::Ros1, Self::Protobuf, Self::Json];
 
-    /// From the `message_encoding` of an MCAP channel.
+    /// The encoding with this name in the `message_encoding` of an MCAP channel.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|encoding| encoding.name() == name)
     }
 
-    /// The `message_encoding` of an MCAP channel (MCAP registry, "Message encodings").
+    /// The name in the `message_encoding` of an MCAP channel (MCAP registry, "Message encodings").
     pub fn name(self) -> &'static str {
         match self {
             Self::Cdr => "cdr",
@@ -40,10 +40,10 @@ impl fmt::Display for Encoding {
     }
 }
 
-/// The message types that are read.
+/// The message types that can be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum MessageType {
-    /// `velodyne_msgs/VelodyneScan`: about a turn of packets.
+    /// `velodyne_msgs/VelodyneScan`: the packets of about one revolution.
     VelodyneScan,
     /// `velodyne_msgs/VelodynePacket`: one packet and its stamp.
     VelodynePacket,
@@ -63,7 +63,7 @@ pub enum MessageType {
     Odometry,
     /// `foxglove.PoseInFrame`
     FoxglovePoseInFrame,
-    /// `tf2_msgs/TFMessage`, and ROS 1's older `tf/tfMessage` of the same layout.
+    /// `tf2_msgs/TFMessage`, and the older `tf/tfMessage` of ROS 1, which has the same layout.
     Tf,
     /// `foxglove.FrameTransform`
     FoxgloveFrameTransform,
@@ -95,10 +95,10 @@ impl MessageType {
         Self::JointState,
     ];
 
-    /// From a schema name in ROS 1 (`pkg/Type`), ROS 2 (`pkg/msg/Type`) or Foxglove
-    /// (`foxglove.Type`) form.
+    /// The type with this schema name, in the form of ROS 1 (`pkg/Type`), ROS 2 (`pkg/msg/Type`) or
+    /// Foxglove (`foxglove.Type`).
     ///
-    /// The name alone decides: schema texts in logs can be missing or partial.
+    /// Only the name is used, because schema texts in logs can be missing or incomplete.
     pub fn from_schema_name(name: &str) -> Option<Self> {
         if name == "tf/tfMessage" {
             return Some(Self::Tf);
@@ -109,13 +109,14 @@ impl MessageType {
         })
     }
 
-    /// The name that users read: the bare type name, in Foxglove's family with its package.
+    /// The name for messages to the user: the type name without the package, except for Foxglove's
+    /// types.
     pub fn name(self) -> &'static str {
         let (ros1, _) = self.schema_names();
         ros1.split_once('/').map_or(ros1, |(_package, name)| name)
     }
 
-    /// The encodings that messages of this type are read from.
+    /// The encodings in which messages of this type can be read.
     pub fn encodings(self) -> &'static [Encoding] {
         match self.is_foxglove() {
             true => &[Encoding::Protobuf, Encoding::Json],
@@ -123,7 +124,7 @@ impl MessageType {
         }
     }
 
-    /// The schema name that goes with an encoding, none where the type does not come in it.
+    /// The schema name for an encoding; `None` if the type does not exist in this encoding.
     pub fn schema_name(self, encoding: Encoding) -> Option<&'static str> {
         let (ros1, ros2) = self.schema_names();
         self.encodings().contains(&encoding).then_some(match encoding {
@@ -142,7 +143,7 @@ impl MessageType {
         )
     }
 
-    /// The schema names in ROS 1 and in ROS 2; the same for Foxglove's types.
+    /// The schema names in ROS 1 and in ROS 2. Both are the same for Foxglove's types.
     fn schema_names(self) -> (&'static str, &'static str) {
         match self {
             Self::VelodyneScan => ("velodyne_msgs/VelodyneScan", "velodyne_msgs/msg/VelodyneScan"),
@@ -175,17 +176,18 @@ impl fmt::Display for MessageType {
     }
 }
 
-/// What a channel's messages are.
+/// The type and the encoding of the messages of a channel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Source {
-    /// The type of the messages.
+    /// The message type.
     pub message_type: MessageType,
-    /// How their bytes are laid out.
+    /// The encoding.
     pub encoding: Encoding,
 }
 
 impl Source {
-    /// From a channel's schema name and message encoding; none unless such messages can be read.
+    /// The source for the schema name and message encoding of a channel. `None` if such messages
+    /// cannot be read.
     pub fn new(schema_name: &str, encoding_name: &str) -> Option<Self> {
         let message_type = MessageType::from_schema_name(schema_name)?;
         let encoding = Encoding::from_name(encoding_name)?;
@@ -204,7 +206,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn schema_names_of_all_generations() {
+    fn schema_names_of_ros1_ros2_and_foxglove_give_their_type() {
         let t = MessageType::from_schema_name;
         assert_eq!(t("velodyne_msgs/msg/VelodyneScan"), Some(MessageType::VelodyneScan));
         assert_eq!(t("velodyne_msgs/VelodyneScan"), Some(MessageType::VelodyneScan));
@@ -232,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_type_in_an_encoding_it_does_not_come_in_is_no_source() {
+    fn a_type_in_an_encoding_that_it_does_not_exist_in_is_not_a_source() {
         assert_eq!(Source::new("sensor_msgs/msg/Imu", "json"), None);
         assert_eq!(Source::new("foxglove.LaserScan", "cdr"), None);
         assert_eq!(Source::new("sensor_msgs/msg/Imu", "cbor"), None);

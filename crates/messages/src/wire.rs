@@ -1,21 +1,20 @@
-//! A cursor over the two ROS layouts, for messages that are too large to copy; and its counterpart
-//! that writes.
+//! A reader of the two ROS encodings that does not copy, for large messages, and a writer.
 //!
-//! CDR (OMG formal/02-06-51, section 15.3) follows a four-byte encapsulation header (DDSI-RTPS,
-//! "Serialized payload representation") that names the byte order; a value of n bytes starts at a
-//! multiple of n from the header's end; a string counts and carries its terminating zero. ROS 1
-//! packs everything, little endian, without terminators. Both put a u32 count before a string or a
-//! sequence.
+//! A CDR message (OMG formal/02-06-51, section 15.3) starts with an encapsulation header of four
+//! bytes (DDSI-RTPS, "Serialized payload representation"), which states the byte order. A value of n
+//! bytes is aligned to a multiple of n from the end of the header. A string ends with a zero, which is
+//! included in its count. A ROS 1 message is packed, little endian, and its strings have no
+//! terminator. In both encodings a u32 count precedes a string or a sequence.
 
 use crate::source::{Encoding, MessageType};
 use crate::{MessageError, Result};
 
-/// Bytes of a CDR encapsulation header.
+/// Length of a CDR encapsulation header \[bytes\].
 const ENCAPSULATION: usize = 4;
-/// Bytes that some DDS vendors leave behind a CDR message to fill up a word.
+/// Largest padding that some DDS vendors append to a CDR message \[bytes\].
 pub(crate) const MAX_CDR_PADDING: usize = 8;
 
-/// Byte order of a CDR body, from its encapsulation header.
+/// Whether a CDR message is big endian, from its encapsulation header.
 pub(crate) fn cdr_is_big_endian(message: &'static str, bytes: &[u8]) -> Result<bool> {
     match bytes {
         [0, 0, _, _, ..] => Ok(true),
@@ -27,7 +26,7 @@ pub(crate) fn cdr_is_big_endian(message: &'static str, bytes: &[u8]) -> Result<b
     }
 }
 
-/// A message's value, and how many bytes follow it.
+/// The value of a message, and the number of bytes that follow it.
 pub(crate) struct Decoded<T> {
     pub(crate) value: T,
     pub(crate) n_left: usize,
@@ -39,7 +38,7 @@ impl<T> Decoded<T> {
     }
 }
 
-/// Reads a message front to back; every read is checked against the bytes there are.
+/// Reads a message from front to back. Every read checks that there are enough bytes.
 pub(crate) struct Cursor<'a> {
     message: &'static str,
     bytes: &'a [u8],
@@ -70,12 +69,12 @@ impl<'a> Cursor<'a> {
         self.big_endian
     }
 
-    /// Bytes not yet read.
+    /// Number of bytes not yet read.
     fn n_left(&self) -> usize {
         self.bytes.len() - self.at
     }
 
-    /// Ends the reading with what was read.
+    /// The value with the number of bytes that are left.
     pub(crate) fn decoded<T>(&self, value: T) -> Decoded<T> {
         Decoded { value, n_left: self.n_left() }
     }
@@ -109,8 +108,8 @@ impl<'a> Cursor<'a> {
         Ok(self.u32()? as usize)
     }
 
-    /// The count before a sequence, checked: so many elements of at least `n_bytes` each can
-    /// follow.
+    /// Reads the count of a sequence. Checks that there are enough bytes left for this number of
+    /// elements of at least `n_bytes` each.
     pub(crate) fn count(&mut self, n_bytes: usize) -> Result<usize> {
         let count = self.size()?;
         let needed = count.saturating_mul(n_bytes);
@@ -144,7 +143,7 @@ impl<'a> Cursor<'a> {
         Ok(time_ns(self.u32()?, self.u32()?))
     }
 
-    /// The stamp of a `std_msgs/Header`, the rest passed over.
+    /// Reads a `std_msgs/Header` and returns its stamp.
     pub(crate) fn header_stamp_ns(&mut self) -> Result<i64> {
         if self.encoding == Encoding::Ros1 {
             self.u32()?; // seq
@@ -155,24 +154,24 @@ impl<'a> Cursor<'a> {
     }
 }
 
-/// A word of four bytes.
+/// A 32-bit integer from its bytes.
 #[inline]
 pub(crate) fn u32_of(raw: [u8; 4], big_endian: bool) -> u32 {
     if big_endian { u32::from_be_bytes(raw) } else { u32::from_le_bytes(raw) }
 }
 
-/// A stamp \[ns\]. Seconds are signed in ROS 2 and unsigned in ROS 1: they agree until 2038, and
+/// A stamp \[ns\]. Seconds are signed in ROS 2 and unsigned in ROS 1. Both are equal until 2038, and
 /// are read as signed here.
 pub(crate) fn time_ns(sec: u32, nanosec: u32) -> i64 {
     i64::from(sec as i32) * 1_000_000_000 + i64::from(nanosec)
 }
 
-/// The seconds, rounded down, and nanoseconds of a stamp.
+/// The seconds (rounded down) and the nanoseconds of a stamp.
 pub(crate) fn sec_and_nanosec(stamp_ns: i64) -> (i64, u32) {
     (stamp_ns.div_euclid(1_000_000_000), stamp_ns.rem_euclid(1_000_000_000) as u32)
 }
 
-/// Writes a message front to back, little endian.
+/// Writes a message from front to back, little endian.
 pub(crate) struct Writer {
     bytes: Vec<u8>,
     encoding: Encoding,
@@ -180,7 +179,7 @@ pub(crate) struct Writer {
 
 impl Writer {
     /// # Panics
-    /// If the encoding is not one of ROS's two.
+    /// Panics if the encoding is not CDR or ROS 1.
     pub(crate) fn new(encoding: Encoding, capacity: usize) -> Self {
         let mut bytes = Vec::with_capacity(capacity);
         match encoding {
@@ -201,14 +200,14 @@ impl Writer {
 
     pub(crate) fn u32(&mut self, value: u32) {
         if self.encoding == Encoding::Cdr {
-            // The encapsulation's length is itself a multiple of four.
+            // The length of the encapsulation header is a multiple of four too.
             self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         }
         self.raw(&value.to_le_bytes());
     }
 
     pub(crate) fn size(&mut self, value: usize) {
-        self.u32(u32::try_from(value).expect("ROS counts with 32 bits"));
+        self.u32(u32::try_from(value).expect("counts in ROS messages have 32 bits"));
     }
 
     pub(crate) fn byte_sequence(&mut self, bytes: &[u8]) {
@@ -242,19 +241,19 @@ impl Writer {
     }
 }
 
-/// Ends a writer that was asked for an encoding that ROS does not have.
+/// Panics because ROS messages do not exist in this encoding.
 pub(crate) fn not_of_ros(encoding: Encoding) -> ! {
-    panic!("ROS messages are written as cdr or ros1, not as {encoding}")
+    panic!("cannot write a ROS message in encoding {encoding}, expected cdr or ros1")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// By hand: encapsulation, a byte, padding to 4, a word in the byte order that the header
-    /// names, "ab" with and without its zero.
+    /// The bytes, written by hand: encapsulation header, one byte, padding to 4, a 32-bit integer in the
+    /// byte order of the header, and "ab" with and without its zero.
     #[test]
-    fn words_are_aligned_in_cdr_alone() {
+    fn integers_are_aligned_in_cdr_only() {
         let read = |encoding, bytes: &[u8]| {
             let mut cursor = Cursor::new(MessageType::PointCloud2, encoding, bytes).unwrap();
             let read = (cursor.u8().unwrap(), cursor.u32().unwrap(), cursor.string().unwrap());
@@ -278,7 +277,7 @@ mod tests {
     }
 
     #[test]
-    fn a_count_is_checked_against_the_bytes_that_follow() {
+    fn a_count_is_checked_against_the_number_of_bytes_left() {
         let bytes = [3, 0, 0, 0, 1, 2, 3, 4, 5, 6];
         let count = |n_bytes| {
             Cursor::new(MessageType::PointCloud2, Encoding::Ros1, &bytes).unwrap().count(n_bytes)
@@ -290,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_before_the_epoch_is_kept() {
+    fn a_stamp_before_the_epoch_keeps_its_value() {
         for stamp_ns in [-1, 0, 1, -1_000_000_000, 1_330_000_000_049_999_872] {
             let (sec, nanosec) = sec_and_nanosec(stamp_ns);
             assert_eq!(time_ns(sec as u32, nanosec), stamp_ns);
@@ -298,8 +297,11 @@ mod tests {
     }
 
     #[test]
-    fn another_family_has_no_ros_layout() {
+    fn json_is_not_an_encoding_of_ros_messages() {
         let error = Cursor::new(MessageType::PointCloud2, Encoding::Json, &[]).err().unwrap();
-        assert_eq!(error.to_string(), "PointCloud2 is not read from json, expected cdr or ros1");
+        assert_eq!(
+            error.to_string(),
+            "cannot read PointCloud2 messages in encoding json, expected cdr or ros1"
+        );
     }
 }

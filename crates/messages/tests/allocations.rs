@@ -1,4 +1,4 @@
-//! A message that lies about its lengths does not make its reader allocate what it claims.
+//! A reader does not allocate memory for a wrong length in a message.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -9,28 +9,28 @@ use messages::{
     Transform, is_plausible_message, ros,
 };
 
-struct Watching;
+struct LargestAllocation;
 
 thread_local! {
     static LARGEST: Cell<usize> = const { Cell::new(0) };
 }
 
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Watching {
+// SAFETY: every call is passed to the system allocator unchanged.
+unsafe impl GlobalAlloc for LargestAllocation {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LARGEST.with(|largest| largest.set(largest.get().max(layout.size())));
-        // SAFETY: the caller's promises are passed on.
+        // SAFETY: the caller upholds the contract of the system allocator.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promises are passed on.
+        // SAFETY: the caller upholds the contract of the system allocator.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
 
 #[global_allocator]
-static ALLOCATOR: Watching = Watching;
+static ALLOCATOR: LargestAllocation = LargestAllocation;
 
 fn messages(encoding: Encoding) -> [(MessageType, Vec<u8>); 5] {
     let packet = messages::hdl32e::PacketBuilder::new([0; 12], 0).finish();
@@ -76,20 +76,20 @@ fn messages(encoding: Encoding) -> [(MessageType, Vec<u8>); 5] {
 }
 
 #[test]
-fn a_length_that_lies_is_not_allocated() {
+fn a_wrong_length_does_not_cause_a_large_allocation() {
     for encoding in [Encoding::Cdr, Encoding::Ros1] {
         for (message_type, bytes) in messages(encoding) {
             let source = Source { message_type, encoding };
             assert!(is_plausible_message(source, &bytes), "{source}");
             for at in 0..bytes.len() - 4 {
-                for claim in [1 << 16, u32::MAX >> 4, u32::MAX] {
+                for length in [1 << 16, u32::MAX >> 4, u32::MAX] {
                     let mut bytes = bytes.clone();
-                    bytes[at..at + 4].copy_from_slice(&claim.to_le_bytes());
+                    bytes[at..at + 4].copy_from_slice(&length.to_le_bytes());
                     LARGEST.set(0);
                     black_box(is_plausible_message(source, &bytes));
-                    // A name of four bytes becomes a `String` of 24; vectors grow by doubling.
+                    // A name of four bytes becomes a `String` of 24 bytes, and vectors grow by doubling.
                     let limit = 12 * bytes.len() + 1024;
-                    assert!(LARGEST.get() <= limit, "{source}, {claim} at {at}: {LARGEST:?}");
+                    assert!(LARGEST.get() <= limit, "{source}, {length} at {at}: {LARGEST:?}");
                 }
             }
         }

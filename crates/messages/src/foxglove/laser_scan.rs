@@ -30,8 +30,9 @@ struct LaserScanWire {
     intensities: Vec<f64>,
 }
 
-/// The message gives the angles of its first and last beam, no times of beams and no range limits. Its pose, the
-/// scan's origin in its frame, is ignored: a scan is in the lidar's own frame.
+/// Reads a `foxglove.LaserScan`. The message contains the angles of the first and the last beam, but
+/// neither the times of the beams nor range limits. Its pose, the origin of the scan in its frame, is
+/// ignored: a scan is in the frame of the lidar.
 pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<LaserScan>> {
     const TYPE: MessageType = MessageType::FoxgloveLaserScan;
     let Decoded { value: wire, n_left } = decode::<LaserScanWire>(TYPE, encoding, bytes)?;
@@ -51,11 +52,11 @@ pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Las
     Ok(Decoded { value: scan, n_left })
 }
 
-/// Writes a `foxglove.LaserScan` without intensities, at the origin of its frame. The message has
-/// no range limits: readings outside the scan's become NaN.
+/// Writes a `foxglove.LaserScan` without intensities, at the origin of its frame. The message type has
+/// no range limits, so readings outside the limits of the scan become NaN.
 ///
 /// # Panics
-/// If the encoding is not one of Foxglove's two.
+/// Panics if the encoding is not protobuf or JSON.
 pub fn write_laser_scan(encoding: Encoding, frame_id: &str, scan: &LaserScan) -> Vec<u8> {
     let limits = scan.range_min..=scan.range_max;
     let range = |&range: &f32| if limits.contains(&range) { f64::from(range) } else { f64::NAN };

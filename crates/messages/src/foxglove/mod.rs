@@ -1,11 +1,12 @@
-//! Foxglove's messages as protocol buffers and as JSON.
+//! Foxglove messages as protocol buffers and as JSON.
 //!
-//! Source: the schemas of `foxglove/foxglove-sdk`, `schemas/proto` and `schemas/jsonschema`. One
-//! struct serves both: field numbers are those of the `.proto`, names those of the JSON, where a
-//! time is `{sec, nsec}` and bytes are base64.
+//! Source: the schemas in `foxglove/foxglove-sdk`, `schemas/proto` and `schemas/jsonschema`. One
+//! struct is used for both: the field numbers are those of the `.proto` files, and the names are those
+//! of the JSON schemas. In JSON, a time is `{sec, nsec}` and bytes are base64.
 //!
-//! A protocol buffer that is cut between two fields is a valid, shorter one: unlike in the other
-//! encodings a loss there cannot be seen. A message without a time or without its pose is refused.
+//! A protocol buffer that is cut between two fields is a valid, shorter message. Unlike in the other
+//! encodings, such a loss cannot be detected. A message without a time or without a required pose is
+//! an error.
 
 mod laser_scan;
 mod point_cloud;
@@ -91,8 +92,8 @@ impl Pose {
     }
 }
 
-/// Both encodings are read to their end or not at all. What protocol buffers pass over on the way,
-/// fields of another type, counts as not read: the message would be that much shorter without them.
+/// Decodes a complete message. The protobuf decoder skips unknown fields; their bytes count as not
+/// read.
 fn decode<T: Message + Default + DeserializeOwned>(
     message_type: MessageType,
     encoding: Encoding,
@@ -116,18 +117,20 @@ fn decode<T: Message + Default + DeserializeOwned>(
 }
 
 /// # Panics
-/// If the encoding is not one of Foxglove's two.
+/// Panics if the encoding is not protobuf or JSON.
 fn encode<T: Message + Serialize>(encoding: Encoding, message: &T) -> Vec<u8> {
     match encoding {
         Encoding::Protobuf => message.encode_to_vec(),
-        Encoding::Json => serde_json::to_vec(message).expect("a plain struct serialises"),
+        Encoding::Json => serde_json::to_vec(message).expect("a plain struct can be serialised"),
         Encoding::Cdr | Encoding::Ros1 => {
-            panic!("Foxglove's messages are written as protobuf or json, not as {encoding}")
+            panic!(
+                "cannot write a Foxglove message in encoding {encoding}, expected protobuf or json"
+            )
         }
     }
 }
 
-/// A part of a message that must be there.
+/// Checks that a required part of a message is present.
 fn required<T>(message_type: MessageType, name: &str, part: Option<T>) -> Result<T> {
     part.ok_or_else(|| malformed(message_type, format!("it has no {name}")))
 }
@@ -136,12 +139,12 @@ fn malformed(message_type: MessageType, detail: String) -> MessageError {
     MessageError::Malformed { message: message_type.name(), detail }
 }
 
-/// A message's time \[ns since the epoch\].
+/// The time of a message \[ns since the epoch\].
 fn stamp_ns(message_type: MessageType, timestamp: Option<Timestamp>) -> Result<i64> {
     let Timestamp { sec, nsec } = required(message_type, "timestamp", timestamp)?;
     sec.checked_mul(1_000_000_000)
         .and_then(|ns| ns.checked_add(i64::from(nsec)))
-        .ok_or_else(|| malformed(message_type, format!("{sec} s is no time")))
+        .ok_or_else(|| malformed(message_type, format!("its time of {sec} s is out of range")))
 }
 
 #[cfg(test)]

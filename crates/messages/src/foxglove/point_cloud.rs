@@ -9,7 +9,7 @@ use super::{Pose, Timestamp, decode, encode, stamp_ns, text};
 use crate::wire::Decoded;
 use crate::{Encoding, MessageError, MessageType, PointCloud, PointField, Result, Scalar};
 
-/// The scalar of each `PackedElementField.NumericType`, which counts from 1; 0 is unknown.
+/// The data type of each `PackedElementField.NumericType`, which starts at 1; 0 is unknown.
 const NUMERIC_TYPES: [Scalar; 8] = [
     Scalar::U8,
     Scalar::I8,
@@ -51,7 +51,8 @@ struct FieldWire {
     r#type: i32,
 }
 
-/// The cloud's pose, its origin in its frame, is ignored: a cloud is in the lidar's own frame.
+/// Reads a `foxglove.PointCloud`. Its pose, the origin of the cloud in its frame, is ignored: a cloud is
+/// in the frame of the lidar.
 pub(crate) fn point_cloud(
     encoding: Encoding,
     bytes: &[u8],
@@ -65,7 +66,9 @@ pub(crate) fn point_cloud(
             Some(0) => n_bytes / point_step,
             _ => {
                 return Err(MessageError::CloudLayout {
-                    detail: format!("{n_bytes} bytes are no whole points of {point_step} bytes"),
+                    detail: format!(
+                        "{n_bytes} bytes are not a multiple of {point_step} bytes per point"
+                    ),
                 });
             }
         },
@@ -93,11 +96,11 @@ fn field(wire: FieldWire) -> Result<PointField> {
     }
 }
 
-/// Writes a `foxglove.PointCloud` at the origin of its frame. The message has neither rows nor
-/// another byte order than little endian: both are undone.
+/// Writes a `foxglove.PointCloud` at the origin of its frame. The message type has no rows and is always
+/// little endian; the points are converted.
 ///
 /// # Panics
-/// If the encoding is not one of Foxglove's two.
+/// Panics if the encoding is not protobuf or JSON.
 pub fn write_point_cloud(encoding: Encoding, frame_id: &str, cloud: &PointCloud<'_>) -> Vec<u8> {
     let fields = cloud.fields.iter().map(|field| FieldWire {
         name: field.name.clone(),
@@ -117,7 +120,7 @@ pub fn write_point_cloud(encoding: Encoding, frame_id: &str, cloud: &PointCloud<
     )
 }
 
-/// The points one behind the other, little endian.
+/// The points without gaps, little endian.
 fn packed(cloud: &PointCloud<'_>) -> Vec<u8> {
     if cloud.is_empty() {
         return Vec::new();

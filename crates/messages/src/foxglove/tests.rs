@@ -4,19 +4,19 @@ use crate::*;
 
 const BOTH: [Encoding; 2] = [Encoding::Protobuf, Encoding::Json];
 
-// Messages made by Python's `foxglove-schemas-protobuf` 0.4.0 (Foxglove's own `.proto` files) with
-// `SerializeToString`; their times are 3 s and 7 ns.
-/// Beams from -1 to 1 rad reading 1.5 m, infinity, 2 m; the scan's pose is at x = 1 m.
+// Messages written by the Python package `foxglove-schemas-protobuf` 0.4.0 (Foxglove's own `.proto`
+// files) with `SerializeToString`. Their times are 3 s and 7 ns.
+/// Beams from -1 to 1 rad with the ranges 1.5 m, infinity, 2 m. The pose of the scan is at x = 1 m.
 const LASER_SCAN: &str = "0a040803100712056c617365721a160a0909000000000000f03f12092100000000\
     0000f03f21000000000000f0bf29000000000000f03f3218000000000000f83f000000000000f07f00000000000000\
     40";
-/// x FLOAT32 at 0 and ring UINT16 at 4, of 6 bytes: (1.5, 23), (-2, 7).
+/// Points of 6 bytes with x (FLOAT32) at byte 0 and ring (UINT16) at byte 4: (1.5, 23), (-2, 7).
 const POINT_CLOUD: &str = "0a04080310071201761a0d0a00120921000000000000f03f25060000002a050a0178\
     18072a0d0a0472696e6715040000001803320c0000c03f1700000000c00700";
-/// x = 2.5 m, not turned.
+/// x = 2.5 m, not rotated.
 const POSE_IN_FRAME: &str = "0a040803100712036d61701a160a09090000000000000440120921000000000000f0\
     3f";
-/// `base` in `map`: y = -1 m, turned by (z, w) = (0.6, 0.8).
+/// `base` in `map`: y = -1 m, rotated by (z, w) = (0.6, 0.8).
 const FRAME_TRANSFORM: &str = "0a040803100712036d61701a0462617365220911000000000000f0bf2a1219\
     333333333333e33f219a9999999999e93f";
 
@@ -57,7 +57,7 @@ fn cloud() -> PointCloud<'static> {
 }
 
 #[test]
-fn golden_protocol_buffers() {
+fn protocol_buffers_of_another_implementation_are_read() {
     let protobuf = |message_type| source(message_type, Encoding::Protobuf);
     let bytes = bytes_of(LASER_SCAN);
     assert_eq!(read_laser_scan(protobuf(MessageType::FoxgloveLaserScan), &bytes), Ok(laser()));
@@ -83,22 +83,22 @@ fn golden_protocol_buffers() {
 }
 
 #[test]
-fn a_protocol_buffer_is_told_from_all_other_types() {
-    let told = |hex| {
+fn a_protocol_buffer_is_plausible_as_its_own_type_only() {
+    let sniff = |hex| {
         let bytes = bytes_of(hex);
-        let fits = |&message_type: &MessageType| {
+        let is_plausible = |&message_type: &MessageType| {
             is_plausible_message(source(message_type, Encoding::Protobuf), &bytes)
         };
-        MessageType::ALL.into_iter().filter(fits).collect::<Vec<_>>()
+        MessageType::ALL.into_iter().filter(is_plausible).collect::<Vec<_>>()
     };
-    assert_eq!(told(LASER_SCAN), [MessageType::FoxgloveLaserScan]);
-    assert_eq!(told(POINT_CLOUD), [MessageType::FoxglovePointCloud]);
-    assert_eq!(told(POSE_IN_FRAME), [MessageType::FoxglovePoseInFrame]);
-    assert_eq!(told(FRAME_TRANSFORM), [MessageType::FoxgloveFrameTransform]);
+    assert_eq!(sniff(LASER_SCAN), [MessageType::FoxgloveLaserScan]);
+    assert_eq!(sniff(POINT_CLOUD), [MessageType::FoxglovePointCloud]);
+    assert_eq!(sniff(POSE_IN_FRAME), [MessageType::FoxglovePoseInFrame]);
+    assert_eq!(sniff(FRAME_TRANSFORM), [MessageType::FoxgloveFrameTransform]);
 }
 
 #[test]
-fn json_as_foxglove_writes_it() {
+fn json_of_foxglove_is_read() {
     let json = |message_type| source(message_type, Encoding::Json);
     let text = br#"{"timestamp":{"sec":3,"nsec":7},"frame_id":"laser",
         "pose":{"position":{"x":1,"y":0,"z":0},"orientation":{"x":0,"y":0,"z":0,"w":1}},
@@ -117,7 +117,7 @@ fn json_as_foxglove_writes_it() {
 }
 
 #[test]
-fn a_reading_that_is_no_number_is_nan() {
+fn a_range_that_is_not_a_number_is_nan() {
     let text = br#"{"timestamp":{"sec":3,"nsec":7},"start_angle":0,"end_angle":1,
         "ranges":[null,"NaN","nan","-Infinity",4e0]}"#;
     let source = source(MessageType::FoxgloveLaserScan, Encoding::Json);
@@ -129,7 +129,7 @@ fn a_reading_that_is_no_number_is_nan() {
 }
 
 #[test]
-fn scans_and_clouds_survive_both_encodings() {
+fn scans_and_clouds_read_as_written_in_both_encodings() {
     for encoding in BOTH {
         let bytes = write_laser_scan(encoding, "laser", &laser());
         let read = read_laser_scan(source(MessageType::FoxgloveLaserScan, encoding), &bytes);
@@ -141,7 +141,7 @@ fn scans_and_clouds_survive_both_encodings() {
 }
 
 #[test]
-fn a_writer_undoes_range_limits_rows_and_big_endian() {
+fn the_writers_convert_range_limits_rows_and_big_endian() {
     let limited = LaserScan { range_min: 1.75, range_max: 9.0, ..laser() };
     let bytes = write_laser_scan(Encoding::Protobuf, "laser", &limited);
     let source = source(MessageType::FoxgloveLaserScan, Encoding::Protobuf);
@@ -162,10 +162,9 @@ fn a_writer_undoes_range_limits_rows_and_big_endian() {
     assert_eq!(read_point_cloud(source, &bytes), Ok(cloud()));
 }
 
-/// A protocol buffer cut between fields is a shorter message; never an altered one.
-/// Without points the other sizes of a cloud say nothing: whatever they are, it can be written.
+/// Without points, the other sizes of a cloud may have any value.
 #[test]
-fn a_cloud_without_points_is_written_whatever_its_sizes() {
+fn a_cloud_without_points_can_be_written_with_any_sizes() {
     const MANY: usize = u32::MAX as usize;
     let empty = PointCloud { row_step: 0, data: Vec::new().into(), ..cloud() };
     for (width, height, row_step) in [(0, 2, 58), (0, MANY, MANY), (MANY, 0, MANY), (0, 0, 1)] {
@@ -182,46 +181,47 @@ fn a_cloud_without_points_is_written_whatever_its_sizes() {
     }
 }
 
+/// A protocol buffer that is cut between fields is a shorter message. It is never a different message.
 #[test]
-fn a_cut_of_a_message_is_an_error_or_a_shorter_message() {
+fn a_truncated_message_is_an_error_or_a_shorter_message() {
     let scan = source(MessageType::FoxgloveLaserScan, Encoding::Protobuf);
-    let whole = bytes_of(LASER_SCAN);
-    for cut in 0..whole.len() {
-        if let Ok(read) = read_laser_scan(scan, &whole[..cut]) {
+    let complete = bytes_of(LASER_SCAN);
+    for cut in 0..complete.len() {
+        if let Ok(read) = read_laser_scan(scan, &complete[..cut]) {
             assert!(read.ranges.is_empty(), "cut at {cut}");
         }
     }
     let json = Source { encoding: Encoding::Json, ..scan };
-    let whole = write_laser_scan(Encoding::Json, "laser", &laser());
-    for cut in 0..whole.len() {
-        assert!(read_laser_scan(json, &whole[..cut]).is_err(), "cut at {cut}");
+    let complete = write_laser_scan(Encoding::Json, "laser", &laser());
+    for cut in 0..complete.len() {
+        assert!(read_laser_scan(json, &complete[..cut]).is_err(), "cut at {cut}");
     }
 }
 
 #[test]
-fn what_must_be_there_is_named() {
-    let timeless = PoseInFrameWire { pose: Some(Pose::identity()), ..Default::default() };
-    let nowhere = PoseInFrameWire { timestamp: Some(Timestamp::new(1)), ..Default::default() };
-    let unturned = FrameTransformWire {
+fn missing_required_parts_are_reported_by_name() {
+    let without_time = PoseInFrameWire { pose: Some(Pose::identity()), ..Default::default() };
+    let without_pose = PoseInFrameWire { timestamp: Some(Timestamp::new(1)), ..Default::default() };
+    let without_rotation = FrameTransformWire {
         timestamp: Some(Timestamp::new(1)),
         translation: Some(Vector3::default()),
         ..Default::default()
     };
     for encoding in BOTH {
         let pose = source(MessageType::FoxglovePoseInFrame, encoding);
-        let error = read_pose(pose, &encode(encoding, &timeless)).unwrap_err().to_string();
+        let error = read_pose(pose, &encode(encoding, &without_time)).unwrap_err().to_string();
         assert!(error.ends_with("as foxglove.PoseInFrame: it has no timestamp"), "{error}");
-        let error = read_pose(pose, &encode(encoding, &nowhere)).unwrap_err().to_string();
+        let error = read_pose(pose, &encode(encoding, &without_pose)).unwrap_err().to_string();
         assert!(error.ends_with("it has no pose"), "{error}");
         let transform = source(MessageType::FoxgloveFrameTransform, encoding);
-        let bytes = encode(encoding, &unturned);
+        let bytes = encode(encoding, &without_rotation);
         let error = read_transforms(transform, &bytes).unwrap_err().to_string();
         assert!(error.ends_with("it has no rotation"), "{error}");
     }
 }
 
 #[test]
-fn a_cloud_that_contradicts_itself_is_refused() {
+fn an_inconsistent_cloud_is_an_error() {
     let error = |text: &[u8]| {
         let source = source(MessageType::FoxglovePointCloud, Encoding::Json);
         read_point_cloud(source, text).unwrap_err().to_string()
@@ -231,14 +231,14 @@ fn a_cloud_that_contradicts_itself_is_refused() {
             br#"{"timestamp":{"sec":3,"nsec":7},"point_stride":6,"data":"AADAPxcA",
                 "fields":[{"name":"ring","offset":5,"type":3}]}"#
         ),
-        "point cloud layout: field `ring` ends at byte 7 of a point of 6 bytes"
+        "invalid point cloud layout: field `ring` ends at byte 7, but a point has 6 bytes"
     );
     assert_eq!(
         error(
             br#"{"timestamp":{"sec":3,"nsec":7},"point_stride":6,"data":"AADAPxcA",
                 "fields":[{"name":"ring","offset":4}]}"#
         ),
-        "point cloud layout: field `ring` has type 0, expected 1 to 8"
+        "invalid point cloud layout: field `ring` has type 0, expected 1 to 8"
     );
     for point_stride in [0, 4, 7] {
         let text = format!(
@@ -247,13 +247,15 @@ fn a_cloud_that_contradicts_itself_is_refused() {
         );
         assert_eq!(
             error(text.as_bytes()),
-            format!("point cloud layout: 6 bytes are no whole points of {point_stride} bytes")
+            format!(
+                "invalid point cloud layout: 6 bytes are not a multiple of {point_stride} bytes per point"
+            )
         );
     }
 }
 
 #[test]
-fn a_time_beyond_what_nanoseconds_count_is_refused() {
+fn a_time_out_of_the_range_of_nanoseconds_is_an_error() {
     let text = br#"{"timestamp":{"sec":9223372036854775807,"nsec":0},"ranges":[]}"#;
     let source = source(MessageType::FoxgloveLaserScan, Encoding::Json);
     assert!(matches!(read_laser_scan(source, text), Err(MessageError::Malformed { .. })));

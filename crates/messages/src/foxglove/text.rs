@@ -1,7 +1,7 @@
-//! How JSON writes what it has no words for.
+//! Values in JSON that have no direct JSON type: numbers that are not finite, and bytes.
 
-/// Numbers that may not be finite, as strings (`"NaN"`, `"Infinity"`, `"-Infinity"`: the JSON
-/// mapping of protocol buffers); `null`, which many writers put there, is NaN.
+/// Numbers that may not be finite, as in the JSON mapping of protocol buffers: `"NaN"`, `"Infinity"`,
+/// `"-Infinity"`. Many writers write `null` instead, which is read as NaN.
 pub(super) mod number {
     use std::fmt;
 
@@ -73,7 +73,7 @@ pub(super) mod numbers {
     }
 }
 
-/// Bytes, as base64 (RFC 4648, section 4; padding is optional when read).
+/// Bytes as base64 (RFC 4648, section 4). Padding is optional when reading.
 pub(super) mod base64 {
     use base64::Engine;
     use base64::alphabet::STANDARD;

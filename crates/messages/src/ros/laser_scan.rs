@@ -35,8 +35,7 @@ pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Las
     }))
 }
 
-/// Writes a `sensor_msgs/LaserScan` without intensities; its angles and times are rounded
-/// to `f32`.
+/// Writes a `sensor_msgs/LaserScan` without intensities. Angles and times are rounded to `f32`.
 pub fn write_laser_scan(encoding: Encoding, frame_id: &str, scan: &LaserScan) -> Vec<u8> {
     let angle_min = scan.angle_min as f32;
     let angle_increment = scan.angle_increment as f32;

@@ -1,12 +1,12 @@
-//! ROS messages in both encodings that MCAP logs carry: ROS 2 (CDR, OMG formal/02-06-51 section
-//! 15.3 with the four-byte encapsulation of DDSI-RTPS) and ROS 1 (packed little endian).
+//! ROS messages in the two encodings that occur in MCAP logs: ROS 2 (CDR, OMG formal/02-06-51 section
+//! 15.3, with the four-byte encapsulation header of DDSI-RTPS) and ROS 1 (packed little endian).
 //!
-//! The two generations share their message definitions but for the header, before which ROS 1 puts
-//! a sequence number. The messages that carry packets and points are read in place; the small ones
-//! go through serde.
+//! Both have the same message definitions, except that a header in ROS 1 starts with a sequence
+//! number. Messages with packets and points are read without copying. Small messages are read with
+//! serde.
 //!
-//! The readers are in the crate's root. Every writer here panics if asked for an encoding that is
-//! not one of ROS's two.
+//! The readers are in the root of the crate. Every writer in this module panics if the encoding is not
+//! CDR or ROS 1.
 
 mod laser_scan;
 mod point_cloud;
@@ -45,7 +45,7 @@ struct Time {
     nanosec: u32,
 }
 
-/// `std_msgs/Header`, in ROS 1 without its sequence number (see [`Sequenced`]).
+/// `std_msgs/Header` without the sequence number of ROS 1 (see [`Sequenced`]).
 #[derive(Serialize, Deserialize)]
 struct Header {
     stamp: Time,
@@ -63,8 +63,8 @@ impl Header {
     }
 }
 
-/// A message that starts with a header, as ROS 1 lays it out: the header's first field is a
-/// sequence number that ROS 2 does not have.
+/// A ROS 1 message that starts with a header. The first field of the header is a sequence number,
+/// which ROS 2 does not have.
 #[derive(Serialize, Deserialize)]
 struct Sequenced<T> {
     seq: u32,
@@ -124,18 +124,17 @@ fn encode_cdr<T: Serialize>(value: &T) -> Vec<u8> {
     let mut out = vec![0, 1, 0, 0];
     out.extend(
         cdr_encoding::to_vec::<T, byteorder::LittleEndian>(value)
-            .expect("a plain struct serialises into memory"),
+            .expect("a plain struct can be serialised"),
     );
     out
 }
 
 fn encode_ros1<T: Serialize>(value: &T) -> Vec<u8> {
-    roslibrust_serde_rosmsg::to_vec_skip_length(value)
-        .expect("a plain struct serialises into memory")
+    roslibrust_serde_rosmsg::to_vec_skip_length(value).expect("a plain struct can be serialised")
 }
 
-/// A sequence that grows with the elements that are there, whatever the count before it claims:
-/// serde's own reserves up to a mebibyte for a count alone.
+/// Reads a sequence and allocates memory only for elements that are present. serde reserves up to a
+/// mebibyte from the count alone.
 fn sequence<'de, D, T>(deserializer: D) -> std::result::Result<Vec<T>, D::Error>
 where
     D: Deserializer<'de>,
@@ -165,7 +164,7 @@ where
     deserializer.deserialize_seq(Growing(PhantomData))
 }
 
-/// A covariance of six values, (6, 6); serde knows arrays of up to 32.
+/// A covariance of six values, (6, 6). serde supports arrays of up to 32 elements.
 type Covariance6 = [[f64; 6]; 6];
 
 fn rows_of(flat: &[f64; 36]) -> Covariance6 {

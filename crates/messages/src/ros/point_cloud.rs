@@ -1,11 +1,11 @@
-//! `sensor_msgs/PointCloud2`, its points borrowed.
+//! `sensor_msgs/PointCloud2`. The points are borrowed.
 
 use std::borrow::Cow;
 
 use crate::wire::{Cursor, Decoded, Writer};
 use crate::{Encoding, MessageError, MessageType, PointCloud, PointField, Result, Scalar};
 
-/// The scalar of each `PointField.datatype`, which counts from 1.
+/// The data type of each `PointField.datatype`, which starts at 1.
 const DATATYPES: [Scalar; 8] = [
     Scalar::I8,
     Scalar::U8,
@@ -16,10 +16,11 @@ const DATATYPES: [Scalar; 8] = [
     Scalar::F32,
     Scalar::F64,
 ];
-/// The fewest bytes of a `PointField`: an empty name, offset, datatype and count, packed.
+/// Smallest length of a `PointField` \[bytes\]: an empty name, offset, datatype and count, packed.
 const MIN_FIELD_BYTES: usize = 4 + 4 + 1 + 4;
 
-/// Of a field of more than one element, as `count` says, the first makes the field.
+/// Reads a `sensor_msgs/PointCloud2`. Only the first element of a field with a `count` of more than 1 is
+/// used.
 pub(crate) fn point_cloud(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<PointCloud<'_>>> {
     let mut cursor = Cursor::new(MessageType::PointCloud2, encoding, bytes)?;
     let stamp_ns = cursor.header_stamp_ns()?;
@@ -51,8 +52,7 @@ fn read_field(cursor: &mut Cursor<'_>) -> Result<PointField> {
     }
 }
 
-/// Writes a `sensor_msgs/PointCloud2`. It says of itself that it is dense only where all its
-/// floating-point fields are finite.
+/// Writes a `sensor_msgs/PointCloud2`. `is_dense` is true if all floating-point fields are finite.
 pub fn write_point_cloud2(encoding: Encoding, frame_id: &str, cloud: &PointCloud<'_>) -> Vec<u8> {
     let mut writer = Writer::new(encoding, 256 + frame_id.len() + cloud.data.len());
     writer.header(cloud.stamp_ns, frame_id);

@@ -82,8 +82,8 @@ pub fn write_pose_stamped(encoding: Encoding, frame_id: &str, pose: &StampedPose
     encode(encoding, &PoseStampedWire { header, pose: PoseWire::new(pose) })
 }
 
-/// Writes a `geometry_msgs/PoseWithCovarianceStamped`; the covariance is that of (x, y, z, rotation
-/// about x, y, z), (6, 6) row by row \[m, rad\].
+/// Writes a `geometry_msgs/PoseWithCovarianceStamped`. The covariance is that of (x, y, z, rotation
+/// about x, y, z), (6, 6), row by row \[m, rad\].
 pub fn write_pose_with_covariance_stamped(
     encoding: Encoding,
     frame_id: &str,
@@ -100,7 +100,7 @@ pub fn write_pose_with_covariance_stamped(
     )
 }
 
-/// Writes a `nav_msgs/Odometry`; the covariance of its twist is zero.
+/// Writes a `nav_msgs/Odometry`. The covariance of the twist is set to zero.
 pub fn write_odometry(encoding: Encoding, odometry: &Odometry) -> Vec<u8> {
     encode(
         encoding,

@@ -6,7 +6,7 @@ use super::{Header, decode, encode, sequence};
 use crate::wire::Decoded;
 use crate::{Encoding, Imu, JointState, MessageType, NavSatFix, Result};
 
-/// First element of a covariance whose value is not measured (`sensor_msgs/Imu`).
+/// First element of the covariance of a value that is not measured (`sensor_msgs/Imu`).
 const NOT_MEASURED: f64 = -1.0;
 
 #[derive(Serialize, Deserialize)]
@@ -117,7 +117,7 @@ pub(crate) fn nav_sat_fix(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Na
     }))
 }
 
-/// Writes a `sensor_msgs/NavSatFix` of the GPS service.
+/// Writes a `sensor_msgs/NavSatFix` with the service GPS.
 pub fn write_nav_sat_fix(encoding: Encoding, frame_id: &str, fix: &NavSatFix) -> Vec<u8> {
     /// `NavSatStatus::SERVICE_GPS`
     const GPS: u16 = 1;

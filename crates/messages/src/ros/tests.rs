@@ -79,7 +79,7 @@ fn transforms() -> Vec<Transform> {
     vec![transform("a"), transform("base_link")]
 }
 
-/// Two points of `velodyne_pointcloud`, packed: x, y, z, intensity, ring, time in 22 bytes.
+/// Two points as in `velodyne_pointcloud`, packed: x, y, z, intensity, ring and time in 22 bytes.
 fn cloud() -> PointCloud<'static> {
     let field = |(name, offset, kind): (&str, usize, Scalar)| PointField {
         name: name.to_owned(),
@@ -135,8 +135,8 @@ fn one_of_each(encoding: Encoding) -> [(MessageType, Vec<u8>); 11] {
     ]
 }
 
-/// What a message says, as text: NaN is equal to itself there.
-fn say(source: Source, bytes: &[u8]) -> Result<String> {
+/// The values of a message as text, which makes NaN equal to itself.
+fn read_as_text(source: Source, bytes: &[u8]) -> Result<String> {
     match source.message_type {
         MessageType::VelodyneScan | MessageType::VelodynePacket => {
             read_velodyne(source, bytes).map(|m| format!("{:?}", m.packets().collect::<Vec<_>>()))
@@ -161,7 +161,7 @@ fn say(source: Source, bytes: &[u8]) -> Result<String> {
 }
 
 #[test]
-fn a_pose_survives_both_encodings() {
+fn poses_read_as_written_in_both_encodings() {
     for encoding in BOTH {
         for frame_id in ["", "map", "odom_frame"] {
             let bytes = write_pose_stamped(encoding, frame_id, &pose());
@@ -183,7 +183,7 @@ fn a_pose_survives_both_encodings() {
 }
 
 #[test]
-fn every_noun_survives_both_encodings() {
+fn all_other_types_read_as_written_in_both_encodings() {
     for encoding in BOTH {
         let source = |message_type| source(message_type, encoding);
         let bytes = write_laser_scan(encoding, "laser", &laser());
@@ -198,25 +198,25 @@ fn every_noun_survives_both_encodings() {
             let bytes = write_point_cloud2(encoding, frame_id, &cloud());
             assert_eq!(read_point_cloud(source(MessageType::PointCloud2), &bytes), Ok(cloud()));
         }
-        let blind = Imu { orientation: None, linear_acceleration: None, ..imu() };
-        for imu in [imu(), blind] {
+        let gyroscope_only = Imu { orientation: None, linear_acceleration: None, ..imu() };
+        for imu in [imu(), gyroscope_only] {
             let bytes = write_imu(encoding, "imu", &imu);
             assert_eq!(read_imu(source(MessageType::Imu), &bytes), Ok(imu));
         }
     }
 }
 
-/// A driver that does not estimate the orientation may leave it zero and say nothing of it.
+/// A driver that does not estimate the orientation may leave it zero without marking it as not measured.
 #[test]
-fn an_orientation_that_is_all_zero_is_none() {
+fn a_zero_orientation_is_none() {
     let zero = Imu { orientation: Some([0.0; 4]), ..imu() };
     let bytes = write_imu(Encoding::Cdr, "imu", &zero);
     let read = read_imu(source(MessageType::Imu, Encoding::Cdr), &bytes).unwrap();
     assert_eq!(read, Imu { orientation: None, ..imu() });
 }
 
-/// Laid out by hand: encapsulation, sec, nanosec, string "map\0" (4 + 4), then f64 at a
-/// multiple of 8 from the end of the encapsulation.
+/// The layout, worked out by hand: encapsulation header, sec, nanosec, the string "map\0" (4 + 4), then
+/// f64 values at multiples of 8 from the end of the encapsulation header.
 #[test]
 fn the_cdr_bytes_of_a_pose() {
     let pose = StampedPose3 {
@@ -230,8 +230,8 @@ fn the_cdr_bytes_of_a_pose() {
     assert_eq!(&bytes[20..28], 1.0f64.to_le_bytes());
 }
 
-/// By hand: after the header (in CDR 16 bytes, in ROS 1 19) status i8, service u16 at a multiple of
-/// 2, latitude f64 at one of 8.
+/// The layout, worked out by hand: after the header (16 bytes in CDR, 19 in ROS 1) the status i8, the
+/// service u16 at a multiple of 2, and the latitude f64 at a multiple of 8.
 #[test]
 fn the_bytes_of_a_fix() {
     let cdr = write_nav_sat_fix(Encoding::Cdr, "gps", &fix());
@@ -244,7 +244,8 @@ fn the_bytes_of_a_fix() {
     assert_eq!(&ros1[22..30], 42.5f64.to_le_bytes());
 }
 
-/// By hand: a count, then for each transform a header with its own sequence number in ROS 1.
+/// The layout, worked out by hand: a count, then the transforms. In ROS 1 the header of each transform
+/// starts with a sequence number.
 #[test]
 fn the_bytes_of_a_transform() {
     let transforms = &transforms()[..1];
@@ -264,9 +265,9 @@ fn the_bytes_of_a_transform() {
     assert_eq!(cdr.len(), 4 + 32 + 7 * 8);
 }
 
-/// By hand, big endian: one point of two bytes, a field "r" of datatype 4 (u16).
+/// A big-endian message, written by hand: one point of two bytes with a field "r" of datatype 4 (u16).
 #[test]
-fn a_big_endian_cloud() {
+fn a_big_endian_cloud_is_read() {
     let bytes = [
         &[0, 0, 0, 0][..],                     // encapsulation
         &[0, 0, 0, 3, 0, 0, 0, 7],             // stamp
@@ -288,7 +289,7 @@ fn a_big_endian_cloud() {
 }
 
 #[test]
-fn the_columns_of_a_packed_cloud() {
+fn the_columns_of_a_packed_cloud_are_read() {
     for encoding in BOTH {
         let bytes = write_point_cloud2(encoding, "velodyne", &cloud());
         let cloud = read_point_cloud(source(MessageType::PointCloud2, encoding), &bytes).unwrap();
@@ -299,10 +300,10 @@ fn the_columns_of_a_packed_cloud() {
     }
 }
 
-/// The layouts met in public logs: nuScenes (five `f32`, 20 bytes) and `velodyne_pointcloud` through
-/// PCL (`z` padded to 16 bytes, the point to 32).
+/// Layouts in public logs: nuScenes (five `f32`, 20 bytes), and `velodyne_pointcloud` through PCL (`z`
+/// padded to 16 bytes, the point padded to 32 bytes).
 #[test]
-fn the_columns_of_clouds_in_use() {
+fn the_columns_of_clouds_in_public_logs_are_read() {
     let nuscenes = (20, [("x", 0, Scalar::F32), ("z", 8, Scalar::F32), ("ring", 16, Scalar::F32)]);
     let pcl = (32, [("x", 0, Scalar::F32), ("ring", 20, Scalar::U16), ("time", 24, Scalar::F32)]);
     for (point_step, layout) in [nuscenes, pcl] {
@@ -336,22 +337,22 @@ fn the_columns_of_clouds_in_use() {
 }
 
 #[test]
-fn a_field_of_unknown_datatype_is_named() {
+fn a_field_of_unknown_datatype_is_reported_by_name() {
     let one_field = PointCloud { fields: vec![cloud().fields[0].clone()], ..cloud() };
     let mut bytes = write_point_cloud2(Encoding::Ros1, "", &one_field);
-    // seq, stamp, frame_id, height, width, fields; "x", offset; datatype.
+    // seq, stamp, frame_id, height, width, number of fields; "x", offset; datatype.
     let datatype_at = 4 + 8 + 4 + 4 + 4 + 4 + 5 + 4;
     assert_eq!(bytes[datatype_at], 7);
     bytes[datatype_at] = 9;
     let error = read_point_cloud(source(MessageType::PointCloud2, Encoding::Ros1), &bytes);
     assert_eq!(
         error.unwrap_err().to_string(),
-        "point cloud layout: field `x` has datatype 9, expected 1 to 8"
+        "invalid point cloud layout: field `x` has datatype 9, expected 1 to 8"
     );
 }
 
 #[test]
-fn packets_survive_both_encodings_and_every_frame_name_length() {
+fn packets_read_as_written_in_both_encodings_with_frame_names_of_any_length() {
     let packets: Vec<_> = (0..3u16)
         .map(|k| (1_000_000_000 + i64::from(k), PacketBuilder::new([k; 12], 7).finish()))
         .collect();
@@ -368,8 +369,8 @@ fn packets_survive_both_encodings_and_every_frame_name_length() {
     }
 }
 
-/// By hand: the stamp and the data, in CDR behind the encapsulation.
-/// The count stands behind the stamp, in ROS 1 the sequence number before it, and the empty name.
+/// The count follows the stamp and the empty frame name. In ROS 1, a sequence number precedes the
+/// stamp; in CDR, the encapsulation header does.
 #[test]
 fn a_count_that_hides_packets_is_an_error() {
     for (encoding, at) in [(Encoding::Cdr, 4 + 8 + 4 + 4), (Encoding::Ros1, 4 + 8 + 4)] {
@@ -383,14 +384,15 @@ fn a_count_that_hides_packets_is_an_error() {
             assert!(error.ends_with(&format!(" bytes follow its {count} packets")), "{error}");
         }
         bytes[at] = 3;
-        // The name takes 3 KB of the packets, and what it leaves starts with no return: 0 packets.
+        // The frame name now covers 3 KB of the packets. The bytes after it are zero: 0 packets.
         bytes[12..14].copy_from_slice(&3000u16.to_le_bytes());
         assert!(read_velodyne(source, &bytes).is_err());
     }
 }
 
+/// The layout, written by hand: the stamp and the data, in CDR after the encapsulation header.
 #[test]
-fn a_lone_packet_is_a_scan_of_one() {
+fn a_velodyne_packet_is_read_as_a_scan_of_one_packet() {
     let packet = PacketBuilder::new([9; 12], 7).finish();
     let stamp = [3, 0, 0, 0, 7, 0, 0, 0];
     for (encoding, head) in [(Encoding::Cdr, &[0, 1, 0, 0][..]), (Encoding::Ros1, &[])] {
@@ -403,27 +405,27 @@ fn a_lone_packet_is_a_scan_of_one() {
 }
 
 #[test]
-fn every_cut_of_a_message_is_an_error() {
+fn a_truncated_message_is_an_error() {
     for encoding in BOTH {
-        for (message_type, whole) in one_of_each(encoding) {
+        for (message_type, complete) in one_of_each(encoding) {
             let source = source(message_type, encoding);
-            say(source, &whole).unwrap();
-            for cut in 0..whole.len() {
-                assert!(say(source, &whole[..cut]).is_err(), "{source}, cut at {cut}");
+            read_as_text(source, &complete).unwrap();
+            for cut in 0..complete.len() {
+                assert!(read_as_text(source, &complete[..cut]).is_err(), "{source}, cut at {cut}");
             }
         }
     }
 }
 
-/// The counts of a scan's packets, a cloud's fields and bytes, joints' names and a laser's ranges.
+/// Among the replaced bytes are the counts of packets, fields, points, joint names and ranges.
 #[test]
-fn a_count_that_claims_more_than_there_is_is_an_error() {
+fn a_count_larger_than_the_message_is_an_error() {
     for encoding in BOTH {
-        for (message_type, whole) in one_of_each(encoding) {
-            for at in 0..whole.len() - 4 {
-                let mut bytes = whole.clone();
+        for (message_type, complete) in one_of_each(encoding) {
+            for at in 0..complete.len() - 4 {
+                let mut bytes = complete.clone();
                 bytes[at..at + 4].copy_from_slice(&u32::MAX.to_le_bytes());
-                let _ = say(source(message_type, encoding), &bytes);
+                let _ = read_as_text(source(message_type, encoding), &bytes);
             }
         }
     }
@@ -437,27 +439,27 @@ fn a_count_that_claims_more_than_there_is_is_an_error() {
 }
 
 #[test]
-fn another_encapsulation_is_named() {
+fn an_unknown_encapsulation_is_an_error() {
     for (message_type, mut bytes) in one_of_each(Encoding::Cdr) {
         bytes[1] = 3;
         assert_eq!(
-            say(source(message_type, Encoding::Cdr), &bytes).unwrap_err(),
+            read_as_text(source(message_type, Encoding::Cdr), &bytes).unwrap_err(),
             MessageError::Encapsulation { found: 3 }
         );
     }
 }
 
 #[test]
-fn a_source_of_another_kind_is_named() {
+fn a_reader_reports_messages_of_another_type() {
     let pose = source(MessageType::PoseStamped, Encoding::Cdr);
     let error = read_laser_scan(pose, &[]).unwrap_err();
-    assert_eq!(error.to_string(), "PoseStamped holds no laser scan");
+    assert_eq!(error.to_string(), "cannot read a laser scan from PoseStamped messages");
     for (message_type, bytes) in one_of_each(Encoding::Ros1) {
-        let error = say(source(message_type, Encoding::Json), &bytes).unwrap_err();
+        let error = read_as_text(source(message_type, Encoding::Json), &bytes).unwrap_err();
         let name = message_type.name();
         assert_eq!(
             error.to_string(),
-            format!("{name} is not read from json, expected cdr or ros1")
+            format!("cannot read {name} messages in encoding json, expected cdr or ros1")
         );
     }
 }
@@ -470,15 +472,15 @@ proptest::proptest! {
         for message_type in MessageType::ALL {
             for encoding in [Encoding::Cdr, Encoding::Ros1, Encoding::Protobuf, Encoding::Json] {
                 let source = source(message_type, encoding);
-                let _ = say(source, &bytes);
+                let _ = read_as_text(source, &bytes);
                 let _ = is_plausible_message(source, &bytes);
-                // Past the encapsulation, which random bytes seldom are.
-                let _ = say(source, &[&[0, 1, 0, 0], &bytes[..]].concat());
+                // Random bytes rarely start with a valid encapsulation header, so add one.
+                let _ = read_as_text(source, &[&[0, 1, 0, 0], &bytes[..]].concat());
             }
         }
     }
 
-    /// Messages that are nearly right reach farther than random bytes do.
+    /// Messages with a few altered bytes test more of the readers than random bytes do.
     #[test]
     fn no_altered_message_makes_a_reader_panic(
         choice in 0..22usize,
@@ -491,7 +493,7 @@ proptest::proptest! {
             bytes[at] = value;
         }
         let source = source(message_type, encoding);
-        let _ = say(source, &bytes);
+        let _ = read_as_text(source, &bytes);
         if let Ok(scan) = read_velodyne(source, &bytes) {
             assert!(scan.packets().all(|(_, packet)| packet.len() == PACKET_BYTES));
             assert_eq!(scan.packets().count(), scan.len());

@@ -8,7 +8,7 @@ use super::{
 use crate::wire::Decoded;
 use crate::{Encoding, MessageError, MessageType, Result, Transform};
 
-/// `T` is a [`TransformWire`], in ROS 1 a sequenced one.
+/// `T` is a [`TransformWire`], or a [`Sequenced`] one in ROS 1.
 #[derive(Serialize, Deserialize)]
 #[serde(bound(deserialize = "T: Deserialize<'de>"))]
 struct TfWire<T> {

@@ -1,16 +1,16 @@
-//! `velodyne_msgs/VelodyneScan` and `velodyne_msgs/VelodynePacket`, their packets borrowed.
+//! `velodyne_msgs/VelodyneScan` and `velodyne_msgs/VelodynePacket`. The packets are borrowed.
 
 use crate::hdl32e::PACKET_BYTES;
 use crate::wire::{Cursor, Decoded, MAX_CDR_PADDING, Writer, time_ns, u32_of};
 use crate::{Encoding, MessageError, MessageType, Result};
 
-/// Bytes of a `VelodynePacket`: its stamp and its data.
+/// Length of a `VelodynePacket`: its stamp and its data \[bytes\].
 const STAMPED_PACKET_BYTES: usize = 8 + PACKET_BYTES;
 
-/// The packets of one message, borrowed.
+/// The packets of one message, borrowed from its bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct VelodyneScan<'a> {
-    /// Header stamp, of a lone packet its own \[ns since the epoch\].
+    /// Stamp of the header, or of the packet in a `VelodynePacket` \[ns since the epoch\].
     pub stamp_ns: i64,
     packets: &'a [u8],
     n_packets: usize,
@@ -19,13 +19,13 @@ pub struct VelodyneScan<'a> {
 }
 
 impl<'a> VelodyneScan<'a> {
-    /// Reads the header of a `VelodyneScan` and checks that all packets are there, and nothing else:
-    /// a count or a name's length that was altered would hide packets.
+    /// Reads the header of a `VelodyneScan` and checks that the packets fill the message. Otherwise an
+    /// altered count or an altered length of the frame name would hide packets.
     pub(crate) fn read(encoding: Encoding, bytes: &'a [u8]) -> Result<Decoded<Self>> {
         let mut cursor = Cursor::new(MessageType::VelodyneScan, encoding, bytes)?;
         let stamp_ns = cursor.header_stamp_ns()?;
         let n_packets = cursor.size()?;
-        // In CDR the stamp of the next packet starts 2 bytes after this one's data, aligned.
+        // In CDR the stamp of the next packet is aligned: it starts 2 bytes after the data.
         let stride = match encoding {
             Encoding::Cdr => STAMPED_PACKET_BYTES.next_multiple_of(4),
             _ => STAMPED_PACKET_BYTES,
@@ -46,15 +46,15 @@ impl<'a> VelodyneScan<'a> {
         Ok(decoded)
     }
 
-    /// Reads a lone `VelodynePacket`.
+    /// Reads a `VelodynePacket`.
     pub(crate) fn read_packet(encoding: Encoding, bytes: &'a [u8]) -> Result<Decoded<Self>> {
         let mut cursor = Cursor::new(MessageType::VelodynePacket, encoding, bytes)?;
         let packets = cursor.take(STAMPED_PACKET_BYTES)?;
         let stride = STAMPED_PACKET_BYTES;
         let big_endian = cursor.is_big_endian();
-        let lone = Self { stamp_ns: 0, packets, n_packets: 1, stride, big_endian };
-        let stamp_ns = lone.packets().next().map_or(0, |(stamp_ns, _)| stamp_ns);
-        Ok(cursor.decoded(Self { stamp_ns, ..lone }))
+        let scan = Self { stamp_ns: 0, packets, n_packets: 1, stride, big_endian };
+        let stamp_ns = scan.packets().next().map_or(0, |(stamp_ns, _)| stamp_ns);
+        Ok(cursor.decoded(Self { stamp_ns, ..scan }))
     }
 
     /// Number of packets.
@@ -62,12 +62,12 @@ impl<'a> VelodyneScan<'a> {
         self.n_packets
     }
 
-    /// Whether there is no packet.
+    /// Whether there are no packets.
     pub fn is_empty(&self) -> bool {
         self.n_packets == 0
     }
 
-    /// Each packet's stamp \[ns since the epoch\] and its 1206 bytes, in order.
+    /// The stamp \[ns since the epoch\] and the 1206 bytes of each packet, in order.
     pub fn packets(&self) -> impl ExactSizeIterator<Item = (i64, &'a [u8])> + use<'a> {
         let Self { packets, stride, big_endian, .. } = *self;
         (0..self.n_packets).map(move |k| {
@@ -80,7 +80,7 @@ impl<'a> VelodyneScan<'a> {
     }
 }
 
-/// Writes a `velodyne_msgs/VelodyneScan`; each packet comes with its stamp \[ns\].
+/// Writes a `velodyne_msgs/VelodyneScan`. Each packet has its own stamp \[ns since the epoch\].
 pub fn write_velodyne_scan(
     encoding: Encoding,
     frame_id: &str,

@@ -9,8 +9,8 @@ fn source(message_type: MessageType, encoding: Encoding) -> Source {
     Source { message_type, encoding }
 }
 
-/// The types that the bytes could be.
-fn told(encoding: Encoding, bytes: &[u8]) -> Vec<MessageType> {
+/// The types that the bytes are plausible as.
+fn sniff(encoding: Encoding, bytes: &[u8]) -> Vec<MessageType> {
     MessageType::ALL
         .into_iter()
         .filter(|&message_type| is_plausible_message(source(message_type, encoding), bytes))
@@ -18,7 +18,7 @@ fn told(encoding: Encoding, bytes: &[u8]) -> Vec<MessageType> {
 }
 
 #[test]
-fn a_message_is_told_from_all_other_types() {
+fn a_message_is_plausible_as_its_own_type_only() {
     let packet = PacketBuilder::new([9; 12], 7).finish();
     let laser = LaserScan {
         stamp_ns: 5,
@@ -50,31 +50,31 @@ fn a_message_is_told_from_all_other_types() {
     };
     for encoding in [Encoding::Cdr, Encoding::Ros1] {
         let bytes = ros::write_velodyne_scan(encoding, "velodyne", 9, &[(1, packet), (2, packet)]);
-        assert_eq!(told(encoding, &bytes), [MessageType::VelodyneScan]);
+        assert_eq!(sniff(encoding, &bytes), [MessageType::VelodyneScan]);
         let bytes = ros::write_velodyne_packet(encoding, 9, &packet);
-        assert_eq!(told(encoding, &bytes), [MessageType::VelodynePacket]);
+        assert_eq!(sniff(encoding, &bytes), [MessageType::VelodynePacket]);
         let bytes = ros::write_laser_scan(encoding, "laser", &laser);
-        assert_eq!(told(encoding, &bytes), [MessageType::LaserScan]);
+        assert_eq!(sniff(encoding, &bytes), [MessageType::LaserScan]);
         let bytes = ros::write_pose_stamped(encoding, "map", &POSE);
-        assert_eq!(told(encoding, &bytes), [MessageType::PoseStamped]);
+        assert_eq!(sniff(encoding, &bytes), [MessageType::PoseStamped]);
         let bytes = ros::write_pose_with_covariance_stamped(encoding, "map", &POSE, &[0.5; 36]);
-        assert_eq!(told(encoding, &bytes), [MessageType::PoseWithCovarianceStamped]);
+        assert_eq!(sniff(encoding, &bytes), [MessageType::PoseWithCovarianceStamped]);
         let bytes = ros::write_joint_state(encoding, "", &joints);
-        assert_eq!(told(encoding, &bytes), [MessageType::JointState]);
+        assert_eq!(sniff(encoding, &bytes), [MessageType::JointState]);
         let bytes = ros::write_imu(encoding, "imu", &imu);
-        assert_eq!(told(encoding, &bytes), [MessageType::Imu]);
+        assert_eq!(sniff(encoding, &bytes), [MessageType::Imu]);
         let bytes = ros::write_tf(encoding, std::slice::from_ref(&transform));
-        assert_eq!(told(encoding, &bytes), [MessageType::Tf]);
+        assert_eq!(sniff(encoding, &bytes), [MessageType::Tf]);
     }
 }
 
 #[test]
-fn padding_may_follow_in_cdr_alone() {
+fn padding_is_accepted_in_cdr_only() {
     for (encoding, max_padding) in [(Encoding::Cdr, 8), (Encoding::Ros1, 0)] {
         let source = source(MessageType::PoseStamped, encoding);
-        let whole = ros::write_pose_stamped(encoding, "map", &POSE);
+        let complete = ros::write_pose_stamped(encoding, "map", &POSE);
         for n_padding in 0..12 {
-            let padded = [&whole[..], &[0; 12][..n_padding]].concat();
+            let padded = [&complete[..], &[0; 12][..n_padding]].concat();
             assert_eq!(
                 is_plausible_message(source, &padded),
                 n_padding <= max_padding,
@@ -85,7 +85,7 @@ fn padding_may_follow_in_cdr_alone() {
 }
 
 #[test]
-fn what_no_sensor_says_is_not_whole() {
+fn messages_with_implausible_values_are_not_plausible() {
     let is_pose = |pose: &StampedPose3| {
         let bytes = ros::write_pose_stamped(Encoding::Cdr, "map", pose);
         is_plausible_message(source(MessageType::PoseStamped, Encoding::Cdr), &bytes)
