@@ -1,4 +1,4 @@
-//! Writes the seeds of every target into `corpus/`: small valid inputs.
+//! Writes the seeds of every target, which are small valid inputs, to `corpus/`.
 
 use std::fs;
 use std::path::Path;

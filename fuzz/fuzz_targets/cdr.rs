@@ -5,4 +5,4 @@ use libfuzzer_sys::fuzz_target;
 use loopboost_fuzz::readers;
 use messages::Encoding;
 
-fuzz_target!(|bytes: &[u8]| readers::read_as_everything(Encoding::Cdr, bytes));
+fuzz_target!(|bytes: &[u8]| readers::read_as_every_type(Encoding::Cdr, bytes));

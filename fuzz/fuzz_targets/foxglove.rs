@@ -1,4 +1,4 @@
-//! Foxglove's messages, as protocol buffers and as JSON.
+//! Foxglove messages as protocol buffers and as JSON.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
@@ -6,6 +6,6 @@ use loopboost_fuzz::readers;
 use messages::Encoding;
 
 fuzz_target!(|bytes: &[u8]| {
-    readers::read_as_everything(Encoding::Protobuf, bytes);
-    readers::read_as_everything(Encoding::Json, bytes);
+    readers::read_as_every_type(Encoding::Protobuf, bytes);
+    readers::read_as_every_type(Encoding::Json, bytes);
 });

@@ -1,4 +1,4 @@
-//! Packets, lone and in messages.
+//! Packets, alone and in messages.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -1,4 +1,4 @@
-//! What the fuzz targets and their seeds share.
+//! Code shared by the fuzz targets and the seeds.
 
 pub mod logs;
 pub mod readers;

@@ -1,9 +1,9 @@
-//! Logs made of bytes that a fuzzer chose: valid ones with chosen messages, patched afterwards, or
-//! whatever the bytes are; always without checksums, which would keep every change from the code
-//! behind them.
+//! Logs from the input of the fuzzer. A log is either the input itself, or a valid log with messages
+//! that the input selects and patches. Checksums are always removed. Otherwise they would reject every
+//! change before the code under test sees it.
 //!
-//! An input is `kind, options, rest`: of an even kind the rest is the log itself, of an odd one it
-//! is a [`Recipe`].
+//! An input is `kind, options, rest`. If `kind` is even, the rest is the log. If it is odd, the rest is a
+//! [`Recipe`].
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -19,11 +19,13 @@ use messages::{Encoding, MessageType, foxglove, ros};
 
 use crate::samples;
 
+/// Topic of the lidar.
 pub const LIDAR: &str = "/lidar";
+/// Topic of the poses.
 pub const POSE: &str = "/pose";
 
-/// The log and the options that an input stands for.
-pub fn of_input(input: &[u8]) -> Option<(Vec<u8>, Options)> {
+/// The log and the options from an input.
+pub fn from_input(input: &[u8]) -> Option<(Vec<u8>, Options)> {
     let (&[kind, choice], rest) = input.split_first_chunk()?;
     let mut bytes = match kind % 2 {
         0 => rest.to_vec(),
@@ -47,7 +49,7 @@ fn options(choice: u8) -> Options {
     Options { lidar, pose }
 }
 
-/// Reads a log in every way there is; the scans must be sound whatever the log holds.
+/// Surveys and ingests a log. Scans and poses must be valid for any log.
 pub fn read(bytes: Vec<u8>, options: &Options) {
     let Ok(log) = Log::from_bytes(Path::new("fuzz.mcap"), bytes) else { return };
     let n_bytes = log.bytes().len() as u64;
@@ -70,7 +72,7 @@ pub fn read(bytes: Vec<u8>, options: &Options) {
     }
 }
 
-/// What a log is made of.
+/// How to build a log.
 #[derive(Debug, Arbitrary)]
 struct Recipe {
     layout: u8,
@@ -87,11 +89,11 @@ struct Entry {
     /// Whether the channel has a schema.
     is_named: bool,
     patches: Vec<Patch>,
-    /// Instead of a message.
+    /// Bytes to use instead of a message.
     raw: Option<Vec<u8>>,
 }
 
-/// Bytes put over those there are.
+/// Bytes that replace existing bytes.
 #[derive(Debug, Arbitrary)]
 struct Patch {
     at: u32,
@@ -126,7 +128,7 @@ const KINDS: [(MessageType, Encoding); 15] = [
     (MessageType::FoxglovePoseInFrame, Encoding::Protobuf),
     (MessageType::FoxglovePoseInFrame, Encoding::Json),
 ];
-/// Packets in a message: most of a turn.
+/// Number of packets in a message: most of a revolution.
 const PACKETS: u32 = 25;
 const MAX_ENTRIES: usize = 24;
 
@@ -195,14 +197,14 @@ fn write(
         .emit_summary_records(layout & 8 == 0)
         .repeat_channels(layout & 16 == 0)
         .emit_chunk_indexes(layout & 32 == 0);
-    let mut writer = options.create(Cursor::new(Vec::new())).expect("memory");
+    let mut writer = options.create(Cursor::new(Vec::new())).expect("writing to memory");
     let mut channels = BTreeMap::new();
     for (k, (message_type, encoding, is_named, data)) in (0u32..).zip(entries) {
         let id = channels.len() as u16 + 1;
         let channel = channels.entry((message_type, encoding, is_named)).or_insert_with(|| {
             let is_pose =
                 matches!(message_type, MessageType::PoseStamped | MessageType::FoxglovePoseInFrame);
-            let name = message_type.schema_name(encoding).expect("a type in an encoding of its");
+            let name = message_type.schema_name(encoding).expect("the type exists in the encoding");
             Arc::new(Channel {
                 id,
                 topic: if is_pose { POSE } else { LIDAR }.to_owned(),
@@ -225,13 +227,13 @@ fn write(
             publish_time: u64::from(k),
             data: Cow::Owned(data),
         };
-        writer.write(&message).expect("memory");
+        writer.write(&message).expect("writing to memory");
     }
-    writer.finish().expect("memory");
+    writer.finish().expect("writing to memory");
     writer.into_inner().into_inner()
 }
 
-/// A checksum of 0 is none.
+/// Sets all checksums to 0, which means "no checksum".
 fn zero_crcs(bytes: &mut [u8]) {
     let mut at = mcap::MAGIC.len();
     while let Some(header) = bytes.get(at..).and_then(|rest| rest.first_chunk::<9>()) {
@@ -254,7 +256,7 @@ fn zero_crcs(bytes: &mut [u8]) {
     }
 }
 
-/// Whole inputs: every kind of message in every layout as it is, and recipes.
+/// Seeds: logs with every kind of message in several layouts, and recipes.
 pub fn seeds() -> Vec<(String, Vec<u8>)> {
     let mut seeds = Vec::new();
     for (k, (message_type, encoding)) in KINDS.into_iter().enumerate() {
@@ -265,14 +267,14 @@ pub fn seeds() -> Vec<(String, Vec<u8>)> {
             let pose = message(MessageType::PoseStamped, Encoding::Cdr, 1);
             let pose = (MessageType::PoseStamped, Encoding::Cdr, true, pose);
             let bytes = write(entries.chain([pose]), layout, 500);
-            // Large inputs make a slow fuzzer.
+            // Large inputs make the fuzzer slow.
             if bytes.len() < 12_000 {
                 let name = format!("{message_type}-{encoding}-{layout}");
                 seeds.push((name, [&[0, 0], bytes.as_slice()].concat()));
             }
         }
-        // As `arbitrary` reads them: layout, chunk size, then entries (go on, kind, time, named, no
-        // patch, not raw).
+        // The bytes as `arbitrary` reads them: layout, chunk size, then entries (another entry follows,
+        // kind, time, named, no patch, not raw).
         let mut recipe = vec![1, 0, k as u8 % 4, 0, 4];
         for time in 0..6 {
             recipe.extend([1, k as u8, time, 0, 1, 0, 0]);

@@ -1,21 +1,21 @@
-//! Every reader of a message's bytes, and what holds whatever the bytes are.
+//! Calls every reader of messages, and checks what must be true for any bytes.
 
 use messages::{
-    Encoding, MessageType, PointCloud, Source, VelodyneScan, foxglove, is_plausible_message, read_imu,
-    read_joint_state, read_laser_scan, read_nav_sat_fix, read_odometry, read_point_cloud,
+    Encoding, MessageType, PointCloud, Source, VelodyneScan, foxglove, is_plausible_message,
+    read_imu, read_joint_state, read_laser_scan, read_nav_sat_fix, read_odometry, read_point_cloud,
     read_pose, read_transforms, read_velodyne, ros,
 };
 
-/// Reads the bytes as every message type, asked for or not, in one encoding.
+/// Reads the bytes as every message type in one encoding, also with types that do not exist in it.
 ///
-/// What reads as a whole must also read; and what was read, when written and read again, must be
-/// written the same.
-pub fn read_as_everything(encoding: Encoding, bytes: &[u8]) {
+/// A message that is plausible must be readable. A message that was read, then written and read
+/// again, must be written with the same bytes.
+pub fn read_as_every_type(encoding: Encoding, bytes: &[u8]) {
     for message_type in MessageType::ALL {
         let source = Source { message_type, encoding };
-        let whole = is_plausible_message(source, bytes);
-        let mut read = false;
-        let mut note = |is_ok: bool| read |= is_ok;
+        let is_plausible = is_plausible_message(source, bytes);
+        let mut is_read = false;
+        let mut note = |is_ok: bool| is_read |= is_ok;
         note(read_velodyne(source, bytes).map(|scan| all_packets(&scan)).is_ok());
         let write = match message_type {
             MessageType::FoxgloveLaserScan => foxglove::write_laser_scan,
@@ -24,7 +24,8 @@ pub fn read_as_everything(encoding: Encoding, bytes: &[u8]) {
         note(match read_laser_scan(source, bytes) {
             Ok(scan) => {
                 let written = write(encoding, "", &scan);
-                let again = read_laser_scan(source, &written).expect("what was written reads");
+                let again =
+                    read_laser_scan(source, &written).expect("a written message can be read");
                 assert_eq!(again.ranges.len(), scan.ranges.len());
                 true
             }
@@ -35,13 +36,13 @@ pub fn read_as_everything(encoding: Encoding, bytes: &[u8]) {
                 all_points(&cloud);
                 match message_type {
                     MessageType::FoxglovePointCloud => {
-                        stable(source, bytes, &owned_cloud, &|cloud| {
+                        check_rewrites(source, bytes, &owned_cloud, &|cloud| {
                             foxglove::write_point_cloud(encoding, "", cloud)
                         });
                     }
                     _ => {
                         foxglove::write_point_cloud(Encoding::Protobuf, "", &cloud);
-                        stable(source, bytes, &owned_cloud, &|cloud| {
+                        check_rewrites(source, bytes, &owned_cloud, &|cloud| {
                             ros::write_point_cloud2(encoding, "", cloud)
                         });
                     }
@@ -55,40 +56,41 @@ pub fn read_as_everything(encoding: Encoding, bytes: &[u8]) {
                 let written = ros::write_pose_stamped(
                     encoding,
                     "",
-                    &read_pose(source, bytes).expect("as before"),
+                    &read_pose(source, bytes).expect("it was read before"),
                 );
                 let source = Source { message_type: MessageType::PoseStamped, encoding };
-                stable(source, &written, &read_pose, &|pose| {
+                check_rewrites(source, &written, &read_pose, &|pose| {
                     ros::write_pose_stamped(encoding, "", pose)
                 });
                 true
             }
             result => result.is_ok(),
         });
-        note(stable(source, bytes, &read_odometry, &|odometry| {
+        note(check_rewrites(source, bytes, &read_odometry, &|odometry| {
             ros::write_odometry(encoding, odometry)
         }));
-        note(stable(source, bytes, &read_imu, &|imu| ros::write_imu(encoding, "", imu)));
-        note(stable(source, bytes, &read_joint_state, &|joints| {
+        note(check_rewrites(source, bytes, &read_imu, &|imu| ros::write_imu(encoding, "", imu)));
+        note(check_rewrites(source, bytes, &read_joint_state, &|joints| {
             ros::write_joint_state(encoding, "", joints)
         }));
-        note(stable(source, bytes, &read_nav_sat_fix, &|fix| {
+        note(check_rewrites(source, bytes, &read_nav_sat_fix, &|fix| {
             ros::write_nav_sat_fix(encoding, "", fix)
         }));
         note(match read_transforms(source, bytes) {
             Ok(_) if message_type == MessageType::Tf => {
-                stable(source, bytes, &read_transforms, &|transforms| {
+                check_rewrites(source, bytes, &read_transforms, &|transforms| {
                     ros::write_tf(encoding, transforms)
                 })
             }
             result => result.is_ok(),
         });
-        assert!(read || !whole, "{source} is whole and does not read");
+        assert!(is_read || !is_plausible, "{source} is plausible and cannot be read");
     }
 }
 
-/// Whether the bytes read; then what is written of it is written the same when read again.
-fn stable<T>(
+/// Whether the bytes can be read. Checks that the value, written and read again, is written with the
+/// same bytes.
+fn check_rewrites<T>(
     source: Source,
     bytes: &[u8],
     read: &impl Fn(Source, &[u8]) -> messages::Result<T>,
@@ -96,7 +98,7 @@ fn stable<T>(
 ) -> bool {
     let Ok(value) = read(source, bytes) else { return false };
     let once = write(&value);
-    let twice = write(&read(source, &once).expect("what was written reads"));
+    let twice = write(&read(source, &once).expect("a written message can be read"));
     assert_eq!(once, twice, "{source}");
     true
 }
@@ -107,7 +109,7 @@ fn owned_cloud(source: Source, bytes: &[u8]) -> messages::Result<PointCloud<'sta
     Ok(PointCloud { data, ..cloud })
 }
 
-/// Touches every packet of a message.
+/// Reads every packet of a message.
 pub fn all_packets(scan: &VelodyneScan<'_>) {
     assert_eq!(scan.packets().len(), scan.len());
     for (_, bytes) in scan.packets() {
@@ -115,7 +117,7 @@ pub fn all_packets(scan: &VelodyneScan<'_>) {
     }
 }
 
-/// Touches every value of a packet, if it is one.
+/// Reads every value of a packet, if the bytes are a packet.
 pub fn packet(bytes: &[u8]) {
     use messages::hdl32e::{AZIMUTH_COUNTS, BLOCKS, LASERS, Packet, foreign_layout};
     let Ok(packet) = Packet::new(bytes) else {
@@ -135,11 +137,11 @@ pub fn packet(bytes: &[u8]) {
     std::hint::black_box((packet.device_time_us(), packet.return_mode(), packet.product()));
 }
 
-/// Touches every value of a cloud.
+/// Reads every value of a cloud.
 fn all_points(cloud: &PointCloud<'_>) {
     assert!(cloud.len() <= cloud.data.len());
     for field in &cloud.fields {
-        let column = cloud.column(&field.name).expect("a cloud that was read is consistent");
+        let column = cloud.column(&field.name).expect("a cloud from a reader is consistent");
         assert_eq!(column.len(), cloud.len());
         let sum: f64 = (0..column.len()).map(|k| column.get(k)).sum();
         std::hint::black_box(sum);

@@ -1,4 +1,4 @@
-//! A small message of every type, in every encoding it comes in: the seeds.
+//! A small message of every type in each of its encodings, for seeds.
 
 use messages::hdl32e::{BLOCKS, PACKET_BYTES, PacketBuilder, ReturnMode};
 use messages::{
@@ -6,7 +6,8 @@ use messages::{
     Scalar, StampedPose3, Transform, foxglove, ros,
 };
 
-/// Packet `k` of a sensor that turns by 1 deg a block, 30 packets a turn, and sees a wall 5 m away.
+/// Packet `k` of a sensor that rotates by 1 deg per block, has 30 packets per revolution, and sees a
+/// wall at 5 m.
 pub fn packet(k: u32) -> [u8; PACKET_BYTES] {
     let azimuths =
         std::array::from_fn(|b| ((100 * (k * BLOCKS as u32 + b as u32)) % 36_000) as u16);
@@ -18,7 +19,7 @@ pub fn packet(k: u32) -> [u8; PACKET_BYTES] {
     packet.finish()
 }
 
-/// One in dual-return mode.
+/// A packet in dual-return mode.
 pub fn dual_packet() -> [u8; PACKET_BYTES] {
     let mut packet = PacketBuilder::new(std::array::from_fn(|b| 100 * (b as u16 / 2)), 9);
     packet.set_return_mode(ReturnMode::Dual);
@@ -26,7 +27,7 @@ pub fn dual_packet() -> [u8; PACKET_BYTES] {
     packet.finish()
 }
 
-/// Two rings of four points.
+/// A cloud with two rings of four points.
 pub fn cloud(stamp_ns: i64) -> PointCloud<'static> {
     let field = |name: &str, offset, kind| PointField { name: name.to_owned(), offset, kind };
     let mut data = Vec::new();
@@ -56,6 +57,7 @@ pub fn cloud(stamp_ns: i64) -> PointCloud<'static> {
     }
 }
 
+/// A scan with seven beams.
 pub fn laser_scan(stamp_ns: i64) -> LaserScan {
     LaserScan {
         stamp_ns,
@@ -68,11 +70,12 @@ pub fn laser_scan(stamp_ns: i64) -> LaserScan {
     }
 }
 
+/// A pose.
 pub fn pose(stamp_ns: i64) -> StampedPose3 {
     StampedPose3 { stamp_ns, position: [1.0, 2.0, 3.0], orientation: [0.0, 0.0, 0.6, 0.8] }
 }
 
-/// `foxglove.PoseInFrame`, which nobody writes.
+/// A `foxglove.PoseInFrame`, built by hand because `messages` cannot write it.
 pub fn pose_in_frame(encoding: Encoding) -> Vec<u8> {
     match encoding {
         Encoding::Json => br#"{"timestamp":{"sec":1,"nsec":5},"frame_id":"map","pose":{"position":{"x":1,"y":2.5,"z":"NaN"},"orientation":{"x":0,"y":0,"z":0.6,"w":0.8}}}"#.to_vec(),
@@ -94,7 +97,7 @@ pub fn pose_in_frame(encoding: Encoding) -> Vec<u8> {
     }
 }
 
-/// A message of every type that comes in the encoding.
+/// A message of every type that exists in the encoding.
 pub fn all(encoding: Encoding) -> Vec<(MessageType, Vec<u8>)> {
     if matches!(encoding, Encoding::Protobuf | Encoding::Json) {
         return vec![
