@@ -182,10 +182,10 @@ fn a_truncated_log_keeps_what_it_holds_and_exits_3() {
         finished.stdout
     );
     finished
-        .says(&["warning: some data could not be used", "1 ends of the log cut off (no footer"]);
+        .says(&["warning: some data could not be used", "1 end of the file cut off (no footer"]);
     // The report says so too.
     let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
-    assert!(report.contains("1 ends of the log cut off"));
+    assert!(report.contains("1 end of the file cut off"));
 }
 
 #[test]
@@ -299,7 +299,7 @@ fn fixes_of_one_site_need_one_origin() {
     workplace
         .command("ingest", "out", &[site, by_frames].concat())
         .expect(3)
-        .says(&["b.mcap has no topic `/tf`", "none would do"]);
+        .says(&["b.mcap has no topic `/tf`", "no topic of the log has a suitable type"]);
 }
 
 #[test]

@@ -135,7 +135,7 @@ fn losses_are_told_again_by_a_run_that_does_nothing() {
     let files = format!("[ingest]\nlogs = [\"there.mcap\", \"back.mcap\"]{rest}");
     fs::write(workplace.path("drive.toml"), files).unwrap();
     for _ in 0..2 {
-        workplace.command("run", "cut", &[]).expect(3).says(&["1 ends of the log cut off"]);
+        workplace.command("run", "cut", &[]).expect(3).says(&["1 end of the file cut off"]);
     }
 }
 

@@ -200,7 +200,7 @@ pub enum NoScansReason {
     Losses(Losses),
 }
 
-/// The end of a sentence: what is dropped stands in parentheses.
+/// The end of a sentence, with the losses in parentheses.
 impl fmt::Display for NoScansReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -20,7 +20,7 @@ pub struct DriveFiles {
     pub paths: Vec<PathBuf>,
     /// Files of the drive that do not exist.
     pub missing: Vec<PathBuf>,
-    /// Whether the folder stands for the drive: its `metadata.yaml` lists the files, or they are the
+    /// Whether the folder represents the drive: its `metadata.yaml` lists the files, or they are the
     /// only drive in the folder and the drive was split.
     pub is_folder: bool,
 }
