@@ -237,7 +237,7 @@ fn log_and_verify_tell_where_things_come_from_and_what_has_changed() {
     let out = workplace.path("out");
     let model = out.join("models/drive-discrete/1.0.0/model.json");
     let verify = || loopboost(&["verify", out.to_str().unwrap()]);
-    assert!(verify().expect(0).stdout.contains(" 0 faults"));
+    assert!(verify().expect(0).stdout.contains(" 0 problems"));
     for artifact in [&model, &out.join("report.html"), &out.join("evaluation/errors.parquet")] {
         let told = loopboost(&["lineage", artifact.to_str().unwrap()]).expect(0).stdout;
         for name in ["keyframes.parquet", "scans/there.parquet", "logs/back.mcap", "seed 7"] {
@@ -250,15 +250,15 @@ fn log_and_verify_tell_where_things_come_from_and_what_has_changed() {
     fs::remove_file(out.join("report.html")).unwrap();
     let told = verify().expect(1);
     for line in [
-        "pairs.parquet has changed since `label` made it",
-        "report.html is missing (made by `evaluate`)",
-        "pairs.parquet is newer than what `train` made from it: grid.parquet, models/",
+        "pairs.parquet changed after `label` wrote it",
+        "report.html is missing (written by `evaluate`)",
+        "pairs.parquet changed after `train` read it to write grid.parquet, models/",
     ] {
         assert!(told.stdout.contains(line), "`{line}` is not in:\n{}", told.stdout);
     }
     let told = loopboost(&["lineage", model.to_str().unwrap()]).expect(0).stdout;
     assert!(
-        told.lines().any(|l| l.contains("pairs.parquet") && l.contains("has changed since")),
+        told.lines().any(|l| l.contains("pairs.parquet") && l.contains("changed since")),
         "{told}"
     );
     loopboost(&["verify", workplace.path("").to_str().unwrap()])
@@ -266,7 +266,7 @@ fn log_and_verify_tell_where_things_come_from_and_what_has_changed() {
         .says(&["is not a run folder"]);
     loopboost(&["lineage", workplace.path("drive.toml").to_str().unwrap()])
         .expect(1)
-        .says(&["carries no provenance"]);
+        .says(&["has no provenance"]);
 }
 
 #[test]

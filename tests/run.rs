@@ -204,10 +204,12 @@ fn inspect_tells_topics_and_a_pipeline_that_works() {
     let log = workplace.path("out/logs/there.mcap");
     let log = log.to_str().unwrap();
     let told = loopboost(&["inspect", log]).expect(0).stdout;
-    for says in ["/velodyne_packets", "Velodyne HDL-32E", "10.00 turns a second", "0 missing"] {
+    for says in
+        ["/velodyne_packets", "Velodyne HDL-32E", "10.00 revolutions per second", "0 missing"]
+    {
         assert!(told.contains(says), "`{says}` is not in:\n{told}");
     }
-    let (_, fitting) = told.split_once("a pipeline that would fit").unwrap();
+    let (_, fitting) = told.split_once("suggested pipeline").unwrap();
     let (_, fitting) = fitting.split_once(":\n").unwrap();
     // The pipeline that is printed and the one that is written both work, and give the same.
     std::fs::write(workplace.path("drive.toml"), fitting).unwrap();
@@ -215,7 +217,7 @@ fn inspect_tells_topics_and_a_pipeline_that_works() {
     let written = workplace.path("written.toml");
     let args = ["inspect", log, "--write", written.to_str().unwrap()];
     loopboost(&args).expect(0);
-    loopboost(&args).expect(1).says(&["written.toml is there already"]);
+    loopboost(&args).expect(1).says(&["written.toml already exists"]);
     let text = std::fs::read_to_string(&written).unwrap();
     assert!(text.contains("logs = [\"out/logs/there.mcap\"]"), "{text}");
     std::fs::copy(&written, workplace.path("drive.toml")).unwrap();

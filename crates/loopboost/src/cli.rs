@@ -218,7 +218,7 @@ impl Cli {
             }
             Command::Inspect(args) => inspect::inspect(&args),
             Command::Import(args) => args.execute(),
-            Command::Lineage { artifact } => done(lineage::log(&artifact)),
+            Command::Lineage { artifact } => done(lineage::lineage(&artifact)),
             Command::Log { .. } => {
                 Err(usage("`loopboost log` was renamed: use `loopboost lineage`"))
             }

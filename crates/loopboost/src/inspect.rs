@@ -1,4 +1,4 @@
-//! `inspect`: what a log holds, what is wrong with it, and which pipeline would fit it.
+//! `inspect`: describes a log, reports problems in it, and suggests a pipeline.
 
 use std::path::{Path, PathBuf};
 
@@ -7,33 +7,32 @@ use dataset::Dropped;
 use ingest::{ClockSurvey, Content, HORIZONTAL_LASER, PacketsSurvey, Survey, TopicSurvey, survey};
 use serde_json::json;
 
-use crate::fit::Fit;
 use crate::logs::{self, LogFile};
 use crate::plot;
 use crate::run::progress_bar;
 use crate::stages::ingest::open;
+use crate::suggest::Suggestion;
 
-/// What `inspect` is asked for besides a word on the log.
+/// The arguments of `inspect`.
 #[derive(clap::Args)]
 pub(crate) struct InspectArgs {
-    /// An MCAP log, or a folder with one drive that was split into several
+    /// An MCAP log, or a folder with the files of one split drive
     log: PathBuf,
-    /// Write the pipeline to a new file
+    /// Write the suggested pipeline to a new file
     #[arg(long, value_name = "FILE.toml")]
     write: Option<PathBuf>,
-    /// Draw the path that the pipeline gives: poses, how well they are known, and the scans kept
+    /// Draw the path from the suggested pipeline: poses, their uncertainty, and keyframes
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
-    /// Make the poses of wheels that are this far apart, in m, and of the imu, even where the log has
-    /// poses
+    /// Fuse wheel odometry and IMU with this track width [m], even if the log has poses
     #[arg(long, value_name = "METRES")]
     track_m: Option<f64>,
-    /// Print JSON
+    /// Print the result as JSON
     #[arg(long)]
     json: bool,
 }
 
-/// Prints what a log holds; writes a pipeline for it and draws its path if asked to.
+/// Describes a log. Writes the suggested pipeline and draws the path if requested.
 pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
     let InspectArgs { log: path, write, plot, track_m, json: as_json } = args;
     let (write, as_json) = (write.as_deref(), *as_json);
@@ -44,10 +43,11 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
     let mut survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
     progress.finish_and_clear();
     survey.losses.merge(lost);
-    let fit = Fit::of(&survey, *track_m);
-    let missing = fit.missing();
+    let suggestion = Suggestion::of(&survey, *track_m);
+    let missing = suggestion.missing();
     let from = write.and_then(Path::parent);
-    let pipeline = fit.lidar.map(|lidar| fit.pipeline(lidar, path, from)).transpose()?;
+    let pipeline =
+        suggestion.lidar.map(|lidar| suggestion.pipeline(lidar, path, from)).transpose()?;
     if as_json {
         let all =
             json!({ "log": path, "survey": survey, "missing": missing, "pipeline": pipeline });
@@ -58,14 +58,17 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
     }
     if let Some(file) = plot {
         match &pipeline {
-            Some(pipeline) if fit.has_poses() => {
+            Some(pipeline) if suggestion.has_poses() => {
                 let notes = plot::plot(file, &drive.name, &logs, pipeline)?;
                 notes.iter().for_each(|note| eprintln!("{}: {note}", drive.name));
-                eprintln!("drew {}", file.display());
+                eprintln!("wrote {}", file.display());
             }
             _ => {
                 let missing = missing.join("; ");
-                return Err(anyhow!("{}: no path to draw: {missing}", path.display()));
+                return Err(anyhow!(
+                    "cannot draw the path of {}; missing: {missing}",
+                    path.display()
+                ));
             }
         }
     }
@@ -76,14 +79,14 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
         }
         (Some(_), None) => {
             return Err(anyhow!(
-                "{}: no pipeline would fit: {}",
+                "cannot suggest a pipeline for {}; missing: {}",
                 path.display(),
                 missing.join("; ")
             ));
         }
         (None, Some(pipeline)) if !as_json => {
             out!(
-                "\na pipeline that would fit (--write FILE.toml writes it):\n\n{}",
+                "\nsuggested pipeline (save it with --write FILE.toml):\n\n{}",
                 pipeline.trim_end()
             );
         }
@@ -92,13 +95,13 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
     Ok(survey.losses.into())
 }
 
-/// The one drive of a file or folder.
+/// The drive in a file or folder. It is an error if there are several.
 fn drive(path: &Path) -> Result<LogFile> {
     let mut drives = logs::find(Path::new(""), &path.to_string_lossy())?;
     match drives.len() {
         1 => Ok(drives.remove(0)),
         n => Err(anyhow!(
-            "{} holds {n} drives; inspect one: {}",
+            "{} contains {n} drives, expected one; choose one of: {}",
             path.display(),
             drives.iter().map(LogFile::place).collect::<Vec<_>>().join(", ")
         )),
@@ -108,7 +111,7 @@ fn drive(path: &Path) -> Result<LogFile> {
 fn print(path: &Path, drive: &LogFile, survey: &Survey) {
     let files = match drive.paths.len() {
         1 => String::new(),
-        n => format!(" in {n} files of one drive"),
+        n => format!(" in {n} files"),
     };
     out!(
         "{}: {:.1} MB{files}, {:.1} s",
@@ -131,7 +134,7 @@ fn print(path: &Path, drive: &LogFile, survey: &Survey) {
                 out!("  {beams} beams over {:.1} deg, {near} to {far} m", scans.coverage_deg);
             }
             Content::Clouds(clouds) => match clouds.rings.as_slice() {
-                [] => out!("  no rings: no field `ring`, or no return"),
+                [] => out!("  no rings: the clouds have no field `ring` or no returns"),
                 rings => {
                     let list = rings.iter().map(|(ring, deg)| format!("{ring} at {deg:.2}"));
                     out!("  {} rings [deg]: {}", rings.len(), list.collect::<Vec<_>>().join(", "));
@@ -143,14 +146,14 @@ fn print(path: &Path, drive: &LogFile, survey: &Survey) {
                     continue;
                 }
                 out!(
-                    "  a path of {:.1} m within {x_m:.1} x {y_m:.1} m; at most {:.2} s between two poses",
+                    "  path of {:.1} m within {x_m:.1} x {y_m:.1} m, longest gap between poses {:.2} s",
                     poses.path_m,
                     poses.widest_gap_s
                 );
             }
             Content::Transforms(transforms) => {
-                for told in transforms {
-                    out!("  {} -> {}, told {} times", told.parent, told.child, told.n_samples);
+                for of in transforms {
+                    out!("  {} -> {}, {} samples", of.parent, of.child, of.n_samples);
                 }
             }
             Content::Other => {}
@@ -161,47 +164,51 @@ fn print(path: &Path, drive: &LogFile, survey: &Survey) {
 
 fn print_packets(packets: &PacketsSurvey) {
     if !packets.is_hdl32e {
-        out!("  {} packets of a {}, which cannot be ingested", packets.n_packets, packets.sensor);
+        out!(
+            "  {} packets of a {} (cannot be ingested; expected an HDL-32E)",
+            packets.n_packets,
+            packets.sensor
+        );
         return;
     }
     let mode = packets.return_mode.map_or("unknown", |mode| mode);
     let spin = packets.spin_hz.map_or("?".to_owned(), |hz| format!("{hz:.2}"));
     out!(
-        "  {}, return mode {mode}, {spin} turns a second, {} whole turns",
+        "  {}, return mode {mode}, {spin} revolutions per second, {} complete revolutions",
         packets.sensor,
         packets.n_revolutions
     );
     out!(
-        "  {} packets, {} missing between them, {} late",
+        "  {} packets, {} missing, {} out of order",
         packets.n_packets,
         packets.n_missing,
         packets.n_late
     );
     let dead = match packets.dead_lasers.as_str() {
-        "" => "every laser has returns".to_owned(),
-        dead => format!("no return from lasers {dead}"),
+        "" => "all lasers have returns".to_owned(),
+        dead => format!("no returns from lasers {dead}"),
     };
     if let Some(share) = packets.return_share.get(HORIZONTAL_LASER) {
         out!(
-            "  {dead}; laser {HORIZONTAL_LASER}, the horizontal one, returns from {:.0} % of its firings",
+            "  {dead}; laser {HORIZONTAL_LASER} (horizontal) has returns from {:.0} % of its firings",
             share * 100.0
         );
     }
     match packets.clock {
-        ClockSurvey::Still => out!("  the device clock stands still"),
+        ClockSurvey::Still => out!("  device clock: stopped"),
         ClockSurvey::OnTime { offset_s } => {
-            out!("  the device clock is on time: the stamps are {offset_s:.3} s behind it");
+            out!("  device clock: on GPS time, stamps {offset_s:.3} s later");
         }
         ClockSurvey::FreeRunning { offset_s } => {
-            out!("  the device clock runs free: the stamps are {offset_s:.1} s past it");
+            out!("  device clock: free-running, stamps minus device clock {offset_s:.1} s");
         }
     }
     if let n @ 1.. = packets.n_stamp_steps {
         let largest_s = packets.largest_stamp_step_s;
-        out!("  the stamps step {n} times against the device clock, by up to {largest_s:.2} s");
+        out!("  stamps step {n} times relative to the device clock, by up to {largest_s:.2} s");
     }
     if packets.is_stamped_by_message() {
-        out!("  packets of a message have one stamp: the device clock tells their time");
+        out!("  all packets of a message have the same stamp; use the device clock");
     }
 }
 
@@ -214,9 +221,9 @@ fn write_new(path: &Path, text: &str) -> Result<()> {
     use std::io::Write as _;
     let mut file = std::fs::File::create_new(path).map_err(|e| match e.kind() {
         std::io::ErrorKind::AlreadyExists => {
-            anyhow!("{} is there already; name another file with --write", path.display())
+            anyhow!("{} already exists; choose another file with --write", path.display())
         }
-        _ => anyhow!("cannot write {}: {e}", path.display()),
+        _ => anyhow::Error::new(e).context(format!("cannot write {}", path.display())),
     })?;
     file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
 }

@@ -1,4 +1,5 @@
-//! `log` and `verify`: where artifacts come from, and whether that still holds.
+//! `lineage` shows the inputs that an artifact was made from, and `verify` checks that they are
+//! unchanged.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -11,11 +12,12 @@ use crate::config::Config;
 use crate::logs::file_name;
 use crate::run::Manifest;
 
-/// Prints an artifact's ancestry as a tree, from the provenance that each artifact carries.
-pub(crate) fn log(artifact: &Path) -> Result<()> {
+/// Prints the inputs of an artifact, their inputs, and so on as a tree. Each artifact contains its own
+/// provenance.
+pub(crate) fn lineage(artifact: &Path) -> Result<()> {
     let (kind, provenance) = provenance_of(artifact)?.ok_or_else(|| {
         anyhow!(
-            "{} carries no provenance: expected a table, a model.json or a report.html of loopboost",
+            "{} has no provenance; expected a table, a model.json or a report.html written by loopboost",
             artifact.display()
         )
     })?;
@@ -43,11 +45,11 @@ fn print_branch(
     let last = provenance.inputs.len().saturating_sub(1);
     for (k, (name, digest)) in provenance.inputs.iter().enumerate() {
         let (branch, below) = if k == last { ("└─ ", "   ") } else { ("├─ ", "│  ") };
-        let path = find_beside(artifact, name);
+        let path = find_input(artifact, name);
         let state = match path.as_deref().map(digest_file) {
             Some(Ok(now)) if now == *digest => "",
-            Some(Ok(_)) => "  (has changed since)",
-            Some(Err(_)) => "  (cannot be read)",
+            Some(Ok(_)) => "  (changed since)",
+            Some(Err(_)) => "  (unreadable)",
             None => "  (not in the run folder)",
         };
         out!("{indent}{branch}{name}  {}{state}", short(digest));
@@ -57,22 +59,22 @@ fn print_branch(
         if shown.insert(name.clone()) {
             print_branch(&path, &kind, &provenance, &indent, shown);
         } else {
-            out!("{indent}  (as above)");
+            out!("{indent}  (inputs shown above)");
         }
     }
 }
 
-/// An input by its name in the run folder, which is the artifact's folder or one above it.
-fn find_beside(artifact: &Path, name: &str) -> Option<PathBuf> {
+/// The path of an input, from its name in the run folder. The run folder is a parent of the artifact.
+fn find_input(artifact: &Path, name: &str) -> Option<PathBuf> {
     artifact.ancestors().skip(1).map(|folder| folder.join(name)).find(|path| path.is_file())
 }
 
-/// The first digits of a digest, enough to compare by eye.
+/// The first digits of a digest, for display.
 fn short(digest: &str) -> &str {
     digest.get(..12).unwrap_or(digest)
 }
 
-/// Kind and provenance of an artifact; none for a log or a file of others.
+/// The kind and provenance of an artifact, or `None` for a log or a file of another program.
 fn provenance_of(path: &Path) -> Result<Option<(String, Provenance)>> {
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("parquet") => Ok(Some(read_provenance(path)?)),
@@ -100,12 +102,12 @@ fn provenance_of(path: &Path) -> Result<Option<(String, Provenance)>> {
         }
         _ => match path.exists() {
             true => Ok(None),
-            false => Err(anyhow!("{} is missing", path.display())),
+            false => Err(anyhow!("{} does not exist", path.display())),
         },
     }
 }
 
-/// The content of a `meta` element of a report, which `evaluate` escaped.
+/// The content of a `meta` element of a report, without the HTML escapes of `evaluate`.
 fn meta_content(html: &str, key: &str) -> Option<String> {
     let (_, rest) = html.split_once(&format!("<meta name=\"{key}\" content=\""))?;
     let (content, _) = rest.split_once('"')?;
@@ -113,10 +115,10 @@ fn meta_content(html: &str, key: &str) -> Option<String> {
     Some(unescaped.replace("&amp;", "&"))
 }
 
-/// Rechecks every digest that a run folder's tasks recorded.
+/// Compares all files of a run folder with the digests that its tasks recorded.
 pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
     let manifest = Manifest::load_existing(folder)?;
-    // Logs by the task that reads them: those of two drives may have one name.
+    // The key includes the task, because files of two drives may have the same name.
     let mut logs: BTreeMap<(String, String), PathBuf> = BTreeMap::new();
     for log in config.map(Config::log_files).transpose()?.unwrap_or_default() {
         for path in log.paths {
@@ -131,14 +133,14 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
     };
     let is_made_here: BTreeSet<&String> =
         manifest.tasks.values().flat_map(|task| task.outputs.keys()).collect();
-    let (mut n_checked, mut faults, mut unchecked) = (0, Vec::new(), BTreeSet::new());
+    let (mut n_checked, mut problems, mut unchecked) = (0, Vec::new(), BTreeSet::new());
     for (task, record) in &manifest.tasks {
         for (name, digest) in &record.outputs {
             n_checked += 1;
             match digest_of(task, name) {
-                None => faults.push(format!("{name} is missing (made by `{task}`)")),
+                None => problems.push(format!("{name} is missing (written by `{task}`)")),
                 Some(now) if now != *digest => {
-                    faults.push(format!("{name} has changed since `{task}` made it"));
+                    problems.push(format!("{name} changed after `{task}` wrote it"));
                 }
                 Some(_) => {}
             }
@@ -151,30 +153,28 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
                 n_checked += 1;
                 if now.as_ref() != Some(digest) {
                     let outputs: Vec<&str> = record.outputs.keys().map(String::as_str).collect();
-                    faults.push(format!(
-                        "{name} is newer than what `{task}` made from it: {}",
+                    problems.push(format!(
+                        "{name} changed after `{task}` read it to write {}",
                         outputs.join(", ")
                     ));
                 }
             }
         }
     }
-    out!("{n_checked} digests checked, {} faults", faults.len());
+    out!("{n_checked} digests checked, {} problems", problems.len());
     for log in unchecked {
-        out!(
-            "not checked: log {log}, which lies outside the folder; name the pipeline with --pipeline"
-        );
+        out!("not checked: log {log} is outside the run folder; pass the pipeline with --pipeline");
     }
-    if faults.is_empty() {
+    if problems.is_empty() {
         return Ok(());
     }
-    for fault in &faults {
-        out!("{fault}");
+    for problem in &problems {
+        out!("{problem}");
     }
     Err(anyhow!(
-        "{} is not as it was made ({} faults); `loopboost run PIPELINE.toml --out {}` makes it whole again",
+        "{} has {} problems; rebuild it with `loopboost run PIPELINE.toml --out {}`",
         folder.display(),
-        faults.len(),
+        problems.len(),
         folder.display()
     ))
 }

@@ -13,7 +13,6 @@ macro_rules! out {
 
 mod cli;
 mod config;
-mod fit;
 mod import;
 mod inspect;
 mod lineage;
@@ -24,6 +23,7 @@ mod plot;
 mod run;
 mod stage;
 mod stages;
+mod suggest;
 
 use std::process::ExitCode;
 

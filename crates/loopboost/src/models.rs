@@ -7,7 +7,7 @@ use dataset::tables::write_file;
 
 use crate::run::changes;
 
-/// A line for each model below a folder.
+/// Prints one line per model in a folder.
 pub(crate) fn list(folder: &Path) -> Result<()> {
     for path in model_files(folder)? {
         match model::load(&path) {
@@ -23,19 +23,19 @@ pub(crate) fn list(folder: &Path) -> Result<()> {
                     format!("{} v{}", model.features.set, model.features.version)
                 );
             }
-            Err(error) => out!("{error}"),
+            Err(error) => out!("invalid: {:#}", anyhow::Error::from(error)),
         }
     }
     Ok(())
 }
 
-/// The model card.
+/// Prints the model card.
 pub(crate) fn show(path: &Path) -> Result<()> {
     out!("{}", model::card(&model::load(path)?).trim_end());
     Ok(())
 }
 
-/// What differs between two models, value by value.
+/// Prints the values that differ between two models.
 pub(crate) fn diff(a: &Path, b: &Path) -> Result<()> {
     let value = |path: &Path| -> Result<serde_json::Value> {
         model::load(path)?;
@@ -46,28 +46,28 @@ pub(crate) fn diff(a: &Path, b: &Path) -> Result<()> {
     let (a, b) = (value(a)?, value(b)?);
     let differences = changes(&a, &b);
     match differences.is_empty() {
-        true => out!("no difference"),
+        true => out!("no differences"),
         false => differences.iter().for_each(|line| out!("{line}")),
     }
     Ok(())
 }
 
-/// Loads one model, or all below a folder, which checks every value and the digest.
+/// Loads one model, or all models in a folder. Loading checks all values and the digest.
 pub(crate) fn verify(path: &Path) -> Result<()> {
     let files = if path.is_dir() { model_files(path)? } else { vec![path.to_owned()] };
-    let mut n_bad = 0;
+    let mut n_invalid = 0;
     for file in &files {
         match model::load(file) {
-            Ok(model) => out!("good: {} {} ({})", model.name, model.version, file.display()),
+            Ok(model) => out!("valid: {} {} ({})", model.name, model.version, file.display()),
             Err(error) => {
-                n_bad += 1;
-                out!("bad: {error}");
+                n_invalid += 1;
+                out!("invalid: {:#}", anyhow::Error::from(error));
             }
         }
     }
-    match n_bad {
+    match n_invalid {
         0 => Ok(()),
-        n => Err(anyhow!("{n} of {} models cannot be used", files.len())),
+        n => Err(anyhow!("{n} of {} models are invalid", files.len())),
     }
 }
 
@@ -82,15 +82,18 @@ pub(crate) fn export(path: &Path, onnx: &Path, threshold: f64) -> Result<()> {
     Ok(())
 }
 
-/// Every `model.json` below a folder, by name.
+/// All files named `model.json` in a folder and its subfolders, sorted by path.
 fn model_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let pattern = folder.join("**/model.json");
     let files: Vec<PathBuf> = glob::glob(&pattern.to_string_lossy())
-        .with_context(|| format!("cannot look below {}", folder.display()))?
+        .with_context(|| format!("cannot search {}", folder.display()))?
         .collect::<Result<_, _>>()
-        .with_context(|| format!("cannot look below {}", folder.display()))?;
+        .with_context(|| format!("cannot search {}", folder.display()))?;
     match files.is_empty() {
-        true => Err(anyhow!("there is no model.json below {}", folder.display())),
+        true => Err(anyhow!(
+            "no model.json in {} or its subfolders; expected a model file or a folder with models",
+            folder.display()
+        )),
         false => Ok(files),
     }
 }

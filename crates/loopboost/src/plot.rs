@@ -1,4 +1,4 @@
-//! `inspect --plot`: the path of a log, as the pipeline that would fit it gives it.
+//! `inspect --plot`: draws the path of a log from its suggested pipeline.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -11,13 +11,15 @@ use subsample::Candidate;
 use crate::config::Config;
 use crate::run::progress_bar;
 
-/// Draws poses, how well they are known, and the scans that `subsample` would keep; returns what was
-/// said of the poses.
+/// Draws poses, their uncertainty, and the keyframes. Returns the notes about the poses.
 pub(crate) fn plot(file: &Path, name: &str, logs: &[Log], pipeline: &str) -> Result<Vec<String>> {
     if file.extension().is_none_or(|extension| extension != "svg") {
-        return Err(anyhow!("--plot {}: expected a file name that ends in .svg", file.display()));
+        return Err(anyhow!(
+            "--plot is {}, expected a file name that ends in .svg",
+            file.display()
+        ));
     }
-    let config: Config = toml::from_str(pipeline).context("the pipeline that would fit")?;
+    let config: Config = toml::from_str(pipeline).context("cannot parse the suggested pipeline")?;
     let options = config.for_log(name)?;
     let options = Options { lidar: options.lidar, pose: options.pose };
     let mut candidates = Vec::new();

@@ -1,4 +1,4 @@
-//! Which pipeline would fit a log.
+//! Suggests a pipeline for a log.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -7,21 +7,22 @@ use anyhow::{Context, Result};
 use dataset::FULL_RING_DEG;
 use ingest::{Content, HORIZONTAL_LASER, MessageType, Survey, TopicSurvey};
 
-/// The topics that a pipeline would take.
-pub(crate) struct Fit<'a> {
+/// The suggested topics.
+pub(crate) struct Suggestion<'a> {
     pub(crate) lidar: Option<&'a TopicSurvey>,
     pose: Option<&'a TopicSurvey>,
-    /// Wheels and an imu that poses could be made of, where there are none or the track is given.
+    /// Wheel odometry and an IMU, if the log has no poses or the track width is given.
     wheels: Option<(&'a TopicSurvey, Option<&'a TopicSurvey>)>,
     track_m: Option<f64>,
-    /// Two frames that transforms lead between, where there are no poses.
-    frames: Option<FramesFit>,
-    /// A topic of packets that give no whole turn.
-    lidar_without_turn: Option<&'a TopicSurvey>,
+    /// Two frames connected by transforms, if the log has no poses.
+    frames: Option<SuggestedFrames>,
+    /// A topic of packets without a complete revolution.
+    lidar_without_revolution: Option<&'a TopicSurvey>,
 }
 
-impl<'a> Fit<'a> {
-    /// Packets rather than what a driver made of them; of poses that move, the most.
+impl<'a> Suggestion<'a> {
+    /// Selects the topics. Packets are preferred to clouds, and clouds to planar scans. Of the pose
+    /// topics with movement, the one with the most messages is selected.
     pub(crate) fn of(survey: &'a Survey, track_m: Option<f64>) -> Self {
         let rank = |topic: &TopicSurvey| match &topic.content {
             Content::Packets(packets) if packets.is_hdl32e && packets.n_revolutions > 0 => 3,
@@ -39,61 +40,64 @@ impl<'a> Fit<'a> {
             let name = topic.schema.rsplit('/').next().unwrap_or_default();
             topic.n_messages > 0 && types.iter().any(|of| of.name() == name)
         };
-        let most = |types: &[MessageType]| {
-            let fitting = survey.topics.iter().rev().filter(|topic| is_one_of(topic, types));
-            fitting.max_by_key(|topic| topic.n_messages)
+        let with_most_messages = |types: &[MessageType]| {
+            let topics = survey.topics.iter().rev().filter(|topic| is_one_of(topic, types));
+            topics.max_by_key(|topic| topic.n_messages)
         };
-        // Satellite fixes have no heading and need an origin: only where there is nothing else.
+        // Satellite fixes have no heading and need an origin. They are the last choice.
         let pose = poses
             .rev()
             .max_by_key(|topic| (!is_one_of(topic, &[MessageType::NavSatFix]), topic.n_messages));
-        // Joints rather than an odometry that a driver made of them.
-        let wheels = ingest::WHEEL_TYPES.iter().find_map(|of| most(&[*of]));
-        let imu = most(&ingest::IMU_TYPES);
+        // Wheel joints are preferred to the odometry that a driver computes from them.
+        let wheels = ingest::WHEEL_TYPES.iter().find_map(|of| with_most_messages(&[*of]));
+        let imu = with_most_messages(&ingest::IMU_TYPES);
         let is_wanted = pose.is_none() || track_m.is_some();
-        let frames = FramesFit::of(survey).filter(|_| pose.is_none() && track_m.is_none());
+        let frames = SuggestedFrames::of(survey).filter(|_| pose.is_none() && track_m.is_none());
         Self {
-            // Of equals the first, by name.
+            // Of topics with equal numbers, the first by name.
             lidar: lidars.rev().max_by_key(|topic| (rank(topic), topic.n_messages)),
             pose: pose.filter(|_| track_m.is_none() || wheels.is_none()),
             wheels: wheels.filter(|_| is_wanted && frames.is_none()).map(|wheels| (wheels, imu)),
             track_m,
             frames,
-            lidar_without_turn: survey.topics.iter().find(
+            lidar_without_revolution: survey.topics.iter().find(
                 |topic| matches!(&topic.content, Content::Packets(packets) if packets.n_revolutions == 0),
             ),
         }
     }
 
+    /// What the log or the options lack for a complete pipeline.
     pub(crate) fn missing(&self) -> Vec<String> {
         let mut missing = Vec::new();
-        if let (None, Some(topic)) = (self.lidar, self.lidar_without_turn) {
-            missing.push(format!("whole turns: the packets of {} give none", topic.topic));
+        if let (None, Some(topic)) = (self.lidar, self.lidar_without_revolution) {
+            missing.push(format!("complete revolutions in the packets of topic `{}`", topic.topic));
         } else if self.lidar.is_none() {
             let names = ingest::LIDAR_TYPES.map(MessageType::name).join(", ");
-            missing.push(format!("a topic that scans could come from, one of {names}"));
+            missing.push(format!("a lidar topic (one of {names})"));
         }
         if let (Some((wheels, _)), None) = (self.wheels, self.track_m) {
             missing.push(format!(
-                "the distance between the wheels of {}, of which poses can be made: measure it and give it with --track-m",
+                "the track width of the wheels of topic `{}`, which could give poses; measure it and pass it with --track-m",
                 wheels.topic
             ));
         } else if self.pose.is_none() && self.wheels.is_none() && self.frames.is_none() {
             let names = ingest::POSE_TYPES.map(MessageType::name).join(", ");
             missing.push(format!(
-                "a topic with poses that move, one of {names}: scans can be ingested, but not labelled"
+                "a pose topic with movement (one of {names}); without poses, scans can be ingested but not labelled"
             ));
         }
         missing
     }
 
+    /// Whether the suggested pipeline has poses.
     pub(crate) fn has_poses(&self) -> bool {
         self.pose.is_some()
             || self.frames.is_some()
             || (self.wheels.is_some() && self.track_m.is_some())
     }
 
-    /// The pipeline file; the log's path is relative to the folder `from`, where one is given.
+    /// The text of the pipeline file. The path of the log is relative to the folder `from`, or
+    /// absolute without it.
     pub(crate) fn pipeline(
         &self,
         lidar: &TopicSurvey,
@@ -122,18 +126,18 @@ impl<'a> Fit<'a> {
                     Some(track_m) => writeln!(text, "track_m = {track_m:?}")?,
                     None => writeln!(
                         text,
-                        "# track_m = 0.5   # measure it: between the contact points of the wheels [m]"
+                        "# track_m = 0.5   # measure it: distance between the contact points of the wheels [m]"
                     )?,
                 }
             }
             (None, None) => match &self.frames {
-                Some(FramesFit { parent, child, topics }) => writeln!(
+                Some(SuggestedFrames { parent, child, topics }) => writeln!(
                     text,
                     "\n[ingest.pose.frames]\nparent = {parent:?}\nchild = {child:?}\ntopics = {topics:?}"
                 )?,
                 None => writeln!(
                     text,
-                    "# pose.topic = \"...\": the log has no poses, so that its scans cannot be labelled"
+                    "# pose.topic = \"...\"   # the log has no poses; without poses, scans cannot be labelled"
                 )?,
             },
         }
@@ -141,19 +145,22 @@ impl<'a> Fit<'a> {
         match &lidar.content {
             Content::Packets(packets) => {
                 if packets.is_stamped_by_message() {
-                    writeln!(text, "clock = \"device\"   # packets of a message have one stamp")?;
+                    writeln!(
+                        text,
+                        "clock = \"device\"   # all packets of a message have the same stamp"
+                    )?;
                 }
                 if let Some(laser) = packets.stand_in() {
                     writeln!(
                         text,
-                        "laser = {laser}   # the horizontal one, {HORIZONTAL_LASER}, is dead"
+                        "laser = {laser}   # the horizontal laser, {HORIZONTAL_LASER}, has no returns"
                     )?;
                 }
             }
             Content::Clouds(clouds) => {
                 let nearest = clouds.rings.iter().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
                 if let Some((ring, deg)) = nearest {
-                    writeln!(text, "ring = {ring}   # at {deg:.2} deg")?;
+                    writeln!(text, "ring = {ring}   # elevation {deg:.2} deg")?;
                 }
             }
             Content::Scans(scans) => {
@@ -165,7 +172,7 @@ impl<'a> Fit<'a> {
                 if scans.coverage_deg < f64::from(FULL_RING_DEG) {
                     writeln!(
                         text,
-                        "\n[label]\npositive_heading_deg = 45.0   # the scanner sees less than a full circle"
+                        "\n[label]\npositive_heading_deg = 45.0   # the scanner covers less than a full circle"
                     )?;
                 }
             }
@@ -175,40 +182,41 @@ impl<'a> Fit<'a> {
     }
 }
 
-/// Frames between which transforms lead.
-struct FramesFit {
+/// Two frames that are connected by transforms.
+struct SuggestedFrames {
     parent: String,
     child: String,
     topics: Vec<String>,
 }
 
-impl FramesFit {
-    /// From a frame of a map (REP 105) that nothing places, or else of odometry, to that of the
-    /// lidar, or else of the robot.
+impl SuggestedFrames {
+    /// The parent is a frame `map`, `world` or `odom` (REP 105) that has no parent itself. The child is
+    /// a frame of the lidar, or the base frame of the robot if there is none.
     fn of(survey: &Survey) -> Option<Self> {
         let of_topic = |topic: &'_ TopicSurvey| match &topic.content {
-            Content::Transforms(told) => told.clone(),
+            Content::Transforms(transforms) => transforms.clone(),
             _ => Vec::new(),
         };
-        let told: Vec<_> = survey.topics.iter().flat_map(of_topic).collect();
+        let transforms: Vec<_> = survey.topics.iter().flat_map(of_topic).collect();
         let bare = |frame: &str| frame.trim_start_matches('/').to_owned();
         let ends_with = |frame: &str, name: &str| {
             frame
                 .strip_suffix(name)
                 .is_some_and(|before| before.is_empty() || before.ends_with('/'))
         };
-        let is_root = |frame: &str| told.iter().all(|t| bare(&t.child) != frame);
-        let mut roots: Vec<String> = told.iter().map(|t| bare(&t.parent)).collect();
+        let is_root = |frame: &str| transforms.iter().all(|t| bare(&t.child) != frame);
+        let mut roots: Vec<String> = transforms.iter().map(|t| bare(&t.parent)).collect();
         roots.retain(|frame| is_root(frame));
         let parent = ["map", "world", "odom"]
             .into_iter()
             .find_map(|name| roots.iter().find(|frame| ends_with(frame, name)))?
             .clone();
-        // What hangs on it, nearest first.
+        // The descendants of the parent, in breadth-first order.
         let mut below = vec![parent.clone()];
         let mut k = 0;
         while let Some(frame) = below.get(k).cloned() {
-            let children = told.iter().filter(|t| bare(&t.parent) == frame).map(|t| bare(&t.child));
+            let children =
+                transforms.iter().filter(|t| bare(&t.parent) == frame).map(|t| bare(&t.child));
             let new: Vec<_> = children.filter(|child| !below.contains(child)).collect();
             below.extend(new);
             k += 1;
@@ -218,13 +226,13 @@ impl FramesFit {
         };
         let child =
             named(&["velodyne", "lidar", "laser"]).or_else(|| named(&["base_link", "base"]))?;
-        let has_told = |topic: &&TopicSurvey| !of_topic(topic).is_empty();
-        let topics = survey.topics.iter().filter(has_told).map(|topic| topic.topic.clone());
+        let has_transforms = |topic: &&TopicSurvey| !of_topic(topic).is_empty();
+        let topics = survey.topics.iter().filter(has_transforms).map(|topic| topic.topic.clone());
         Some(Self { parent, child: child.clone(), topics: topics.collect() })
     }
 }
 
-/// A path as seen from a folder; both are absolute.
+/// A path relative to a folder. Both are absolute.
 fn relative(path: &Path, folder: &Path) -> PathBuf {
     let shared = path.components().zip(folder.components()).take_while(|(a, b)| a == b).count();
     let up = folder.components().skip(shared).map(|_| "..");
@@ -243,31 +251,34 @@ mod tests {
         TopicSurvey { topic, schema, encoding, n_messages, rate_hz: None, content }
     }
 
-    /// A log without poses: its wheels and imu make some, once the track is given.
     #[test]
-    fn transforms_lead_from_the_map_to_the_lidar() {
-        let told = |parent: &str, child: &str| TransformSurvey {
+    fn frames_are_suggested_from_the_map_to_the_lidar() {
+        let transform = |parent: &str, child: &str| TransformSurvey {
             parent: parent.to_owned(),
             child: child.to_owned(),
             n_samples: 9,
         };
-        let moving = Content::Transforms(vec![told("/map", "odom"), told("odom", "base_link")]);
-        let fixed =
-            Content::Transforms(vec![told("base_link", "mast"), told("mast", "velodyne_top")]);
+        let moving =
+            Content::Transforms(vec![transform("/map", "odom"), transform("odom", "base_link")]);
+        let fixed = Content::Transforms(vec![
+            transform("base_link", "mast"),
+            transform("mast", "velodyne_top"),
+        ]);
         let of = |topics: Vec<TopicSurvey>| Survey { topics, ..Survey::default() };
         let tf = |name: &str, content| topic(name, "tf2_msgs/msg/TFMessage", 9, content);
         let survey = of(vec![tf("/tf", moving.clone()), tf("/tf_static", fixed.clone())]);
-        let fit = FramesFit::of(&survey).unwrap();
-        assert_eq!((&*fit.parent, &*fit.child), ("map", "velodyne_top"));
-        assert_eq!(fit.topics, ["/tf", "/tf_static"]);
-        let fit = FramesFit::of(&of(vec![tf("/tf", moving)])).unwrap();
-        assert_eq!(fit.child, "base_link");
-        // The joints of a robot alone lead nowhere.
-        assert!(FramesFit::of(&of(vec![tf("/tf_static", fixed)])).is_none());
+        let frames = SuggestedFrames::of(&survey).unwrap();
+        assert_eq!((&*frames.parent, &*frames.child), ("map", "velodyne_top"));
+        assert_eq!(frames.topics, ["/tf", "/tf_static"]);
+        let frames = SuggestedFrames::of(&of(vec![tf("/tf", moving)])).unwrap();
+        assert_eq!(frames.child, "base_link");
+        // Static transforms alone do not connect the robot to a map.
+        assert!(SuggestedFrames::of(&of(vec![tf("/tf_static", fixed)])).is_none());
     }
 
+    /// The log has no poses. Its wheels and IMU give poses if the track width is given.
     #[test]
-    fn wheels_and_imu_stand_in_for_poses() {
+    fn wheels_and_imu_are_suggested_for_a_log_without_poses() {
         let scans = ingest::ScansSurvey { coverage_deg: 360.0, ..Default::default() };
         let topics = vec![
             topic("/imu", "sensor_msgs/msg/Imu", 100, Content::Other),
@@ -278,17 +289,19 @@ mod tests {
         let mut survey = Survey { topics, ..Survey::default() };
         let log = std::env::current_exe().unwrap();
         let written = |survey: &Survey, track_m| {
-            let fit = Fit::of(survey, track_m);
-            let text = fit.pipeline(fit.lidar.unwrap(), &log, None).unwrap();
-            (fit.missing(), fit.has_poses(), text)
+            let suggestion = Suggestion::of(survey, track_m);
+            let text = suggestion.pipeline(suggestion.lidar.unwrap(), &log, None).unwrap();
+            (suggestion.missing(), suggestion.has_poses(), text)
         };
         let (missing, has_poses, text) = written(&survey, None);
-        assert!(!has_poses && missing[0].contains("the distance between the wheels of /joints"));
+        assert!(
+            !has_poses && missing[0].contains("the track width of the wheels of topic `/joints`")
+        );
         assert!(text.contains("wheels = \"/joints\"\nimu = \"/imu\"\n# track_m"), "{text}");
         let (missing, has_poses, text) = written(&survey, Some(0.4));
         assert!(has_poses && missing.is_empty(), "{missing:?}");
         assert!(text.contains("imu = \"/imu\"\ntrack_m = 0.4\n"), "{text}");
-        // Poses that move are taken as they are, unless the track is given.
+        // Poses with movement are suggested instead, unless the track width is given.
         let moving = ingest::PosesSurvey { path_m: 3.0, ..Default::default() };
         survey.topics[2].content = Content::Poses(moving);
         let (missing, _, text) = written(&survey, None);
@@ -297,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn paths_are_written_as_seen_from_the_pipeline() {
+    fn the_path_of_the_log_is_relative_to_the_pipeline_file() {
         let relative = |path, folder| relative(Path::new(path), Path::new(folder));
         assert_eq!(relative("/data/logs/a.mcap", "/data/pipelines"), Path::new("../logs/a.mcap"));
         assert_eq!(relative("/data/a.mcap", "/data"), Path::new("a.mcap"));
