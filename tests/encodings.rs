@@ -5,10 +5,20 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crate::support::{Finished, Workplace, loopboost, python_with, root, shared_data};
+use crate::require::{python_with, shared_data};
+use crate::support::{Finished, Workplace, loopboost, root};
 
-const MODULES: &str =
-    "mcap, mcap_protobuf, foxglove_schemas_protobuf, rosbags, numpy, pyarrow, velodyne_decoder";
+const DATA: [&str; 3] =
+    ["logs/hdl32e-street.ros2.mcap", "logs/mit-killian.mcap", "logs/mit-csail.mcap"];
+const MODULES: [&str; 7] = [
+    "mcap",
+    "mcap_protobuf",
+    "foxglove_schemas_protobuf",
+    "rosbags",
+    "numpy",
+    "pyarrow",
+    "velodyne_decoder",
+];
 
 /// A group of logs, ingested with the same options.
 struct Group {
@@ -36,8 +46,8 @@ const GROUPS: [Group; 7] = [
 
 #[test]
 fn every_encoding_gives_the_same() {
-    let Some(data) = shared_data() else { return };
-    let Some(python) = python_with(MODULES) else { return };
+    let Some(data) = shared_data(&DATA) else { return };
+    let Some(python) = python_with(&MODULES) else { return };
     let workplace = Workplace::new("");
     let logs = workplace.path("logs");
     let script = |args: &[&Path]| {

@@ -1,4 +1,4 @@
-//! Logs whose sensor side nobody here wrote; skipped where they are absent.
+//! Logs that others recorded, or made from real drives. Each test is skipped if they are missing.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -10,17 +10,21 @@ use dataset::tables::scans::read_scans;
 use dataset::tables::{read_keyframes, read_pairs};
 use dataset::{Label, Scan, StampedPose, Trajectory};
 
-use crate::support::{Workplace, loopboost_with_threads, python_with, root, shared_data};
+use crate::require::{python_with, shared_data};
+use crate::support::{Workplace, loopboost_with_threads, root};
 
-/// `pipelines/killian.toml`: 1218 + 1218 unique pairs that obey the label rules against the
-/// ground truth in the logs; the same bytes with one thread and with two.
+/// Real paths through real floor plans, seen by a simulated HDL-32E.
+pub const DRIVES: [&str; 3] =
+    ["logs/hdl32e-killian.mcap", "logs/hdl32e-csail.mcap", "logs/hdl32e-aces.mcap"];
+
+/// `pipelines/killian.toml` gives 1218 + 1218 unique pairs. They obey the label rules when checked
+/// against the ground truth in the logs. One thread and two give the same bytes.
 #[test]
 fn killian_gives_the_2436_pairs() {
-    let Some(data) = shared_data() else { return };
+    let Some(data) = shared_data(&DRIVES) else { return };
     let workplace = Workplace::new("");
     let pipeline = root().join("pipelines/killian.toml");
-    let logs =
-        ["killian", "csail", "aces"].map(|name| data.join(format!("logs/hdl32e-{name}.mcap")));
+    let logs = DRIVES.map(|log| data.join(log));
     let run = |out: &str, threads| {
         let logs =
             format!("ingest.logs={:?}", logs.each_ref().map(|log| fs::canonicalize(log).unwrap()));
@@ -54,7 +58,7 @@ fn killian_gives_the_2436_pairs() {
     for pair in &pairs {
         let (query, reference) = (&keyframes[pair.query], &keyframes[pair.reference]);
         assert_ne!(query.id, reference.id);
-        assert_eq!(query.id.log, reference.id.log, "each log is a site of its own");
+        assert_eq!(query.id.log, reference.id.log, "each log is its own site");
         let distance_m = position(pair.query).distance_m(&position(pair.reference));
         assert!((distance_m - pair.distance_m).abs() < 1e-9);
         match pair.label {
@@ -64,8 +68,8 @@ fn killian_gives_the_2436_pairs() {
     }
 }
 
-/// The poses of `/ground_truth`, read here with the `mcap` crate and by hand: stamp, "map", then
-/// seven f64.
+/// The poses of `/ground_truth`, read with the `mcap` crate and decoded here: the stamp, the frame
+/// "map", then seven f64.
 fn ground_truth(log: &Path) -> Trajectory {
     let bytes = fs::read(log).unwrap();
     let poses = mcap::MessageStream::new(&bytes)
@@ -89,36 +93,39 @@ fn ground_truth(log: &Path) -> Trajectory {
     Trajectory::new(poses).0
 }
 
-/// The real capture: 2.5 turns that start at 222.5 deg, so that azimuth 0 is passed three times
-/// and two turns are whole. 1335 and 1350 returns of laser 15 were counted in the packets.
+/// The real capture has 2.5 revolutions that start at 222.5 deg. They pass azimuth 0 three times, so
+/// two revolutions are complete. 1335 and 1350 returns of laser 15 were counted in their packets.
 #[test]
-fn street_in_ros_1_and_ros_2_gives_the_same_turns() {
-    let Some(data) = shared_data() else { return };
+fn street_in_ros_1_and_ros_2_gives_the_same_revolutions() {
+    let streets = ["ros1", "ros2"].map(|encoding| format!("logs/hdl32e-street.{encoding}.mcap"));
+    let Some(data) = shared_data(&streets.each_ref().map(String::as_str)) else { return };
     let workplace = Workplace::new("");
-    let turns = ["ros1", "ros2"].map(|encoding| {
+    let revolutions = ["ros1", "ros2"].map(|encoding| {
         let log = data.join(format!("logs/hdl32e-street.{encoding}.mcap"));
         let log = fs::canonicalize(log).unwrap();
         workplace.command("ingest", "out", &["--set", &format!("ingest.logs=[{log:?}]")]).expect(0);
         scans(&workplace.path("out").join(format!("scans/hdl32e-street.{encoding}.parquet")))
     });
-    assert_eq!(turns[0], turns[1]);
-    let found: Vec<_> = turns[0].iter().map(|scan| (scan.len(), scan.is_ring())).collect();
+    assert_eq!(revolutions[0], revolutions[1]);
+    let found: Vec<_> = revolutions[0].iter().map(|scan| (scan.len(), scan.is_ring())).collect();
     assert_eq!(found, [(1335, true), (1350, true)]);
 
-    // Every return against `velodyne-decoder`, where it is at hand.
-    let Some(python) = python_with("mcap, numpy, pyarrow, velodyne_decoder") else { return };
+    const MODULES: [&str; 4] = ["mcap", "numpy", "pyarrow", "velodyne_decoder"];
+    // Compare every return with `velodyne-decoder`.
+    let Some(python) = python_with(&MODULES) else { return };
     let output = Command::new(&python)
         .arg(root().join("tests/peers/street.py"))
         .arg(data.join("logs/hdl32e-street.ros2.mcap"))
         .arg(workplace.path("out/scans/hdl32e-street.ros2.parquet"))
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.status.success(), "{said}\n{}", String::from_utf8_lossy(&output.stderr));
-    println!("{said}");
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{printed}\n{}", String::from_utf8_lossy(&output.stderr));
+    println!("{printed}");
 }
 
-fn scans(table: &Path) -> Vec<Scan> {
+/// All scans of a table.
+pub fn scans(table: &Path) -> Vec<Scan> {
     let (headers, _) = dataset::tables::scans::read_scan_headers(table).unwrap();
     let all: Vec<u32> = (0..headers.len() as u32).collect();
     let mut scans = Vec::new();
@@ -130,14 +137,19 @@ fn scans(table: &Path) -> Vec<Scan> {
     scans
 }
 
-/// Real scans of a half circle; three of the four logs have poses for some scans only, which is
-/// told (exit 3).
+/// Real scans of half a circle. Three of the four logs have poses for some scans only: the run
+/// reports how many scans it dropped and exits with 3.
 #[test]
-fn planar_runs_and_tells_what_it_left_out() {
-    let Some(data) = shared_data() else { return };
+fn the_planar_pipeline_runs_and_reports_dropped_scans() {
+    const LOGS: [&str; 4] = [
+        "logs/mit-killian.mcap",
+        "logs/intel-lab.mcap",
+        "logs/mit-csail.mcap",
+        "logs/austin-aces.mcap",
+    ];
+    let Some(data) = shared_data(&LOGS) else { return };
     let workplace = Workplace::new("");
-    let logs = ["mit-killian", "intel-lab", "mit-csail", "austin-aces"]
-        .map(|name| fs::canonicalize(data.join(format!("logs/{name}.mcap"))).unwrap());
+    let logs = LOGS.map(|log| fs::canonicalize(data.join(log)).unwrap());
     let (pipeline, out) = (root().join("pipelines/planar.toml"), workplace.path("out"));
     let logs = format!("ingest.logs={logs:?}");
     let args = ["run", pipeline.to_str().unwrap(), "--out", out.to_str().unwrap(), "--set", &logs];
@@ -154,12 +166,12 @@ fn planar_runs_and_tells_what_it_left_out() {
     }
 }
 
-/// Poses made of wheels and gyroscope end where the truth does, but for a part of the way: with the
-/// first pose aligned, less than 0.5 % of it in Killian and CSAIL. In ACES the truth itself moves
-/// sideways, which no wheel tells: 1.7 %.
+/// Poses fused from wheels and gyroscope end close to the ground truth. With the first pose aligned,
+/// the last one is off by less than 0.5 % of the path in Killian and CSAIL. In ACES the ground truth
+/// moves sideways, which wheels cannot measure: 1.7 %.
 #[test]
 fn poses_fused_from_wheels_and_imu_stay_near_the_truth() {
-    let Some(data) = shared_data() else { return };
+    let Some(data) = shared_data(&DRIVES) else { return };
     for (log, most) in [("killian", 0.005), ("csail", 0.005), ("aces", 0.02)] {
         let path = fs::canonicalize(data.join(format!("logs/hdl32e-{log}.mcap"))).unwrap();
         let workplace = Workplace::new(&format!(

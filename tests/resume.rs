@@ -4,6 +4,7 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use crate::require::python_with;
 use crate::support::{Finished, Workplace, loopboost};
 
 const PIPELINE: &str = r#"
@@ -291,9 +292,7 @@ fn models_are_listed_shown_compared_verified_and_exported() {
         let model = path(&format!("models/drive-{learner}/1.0.0/model.json"));
         let onnx = path(&format!("{learner}.onnx"));
         loopboost(&["model", "export", &model, "--onnx", &onnx]).expect(0);
-        let Some(python) = crate::support::python_with("numpy, onnx, onnxruntime") else {
-            continue;
-        };
+        let Some(python) = python_with(&["numpy", "onnx", "onnxruntime"]) else { continue };
         let output = Command::new(python)
             .arg(crate::support::root().join("tests/peers/export.py"))
             .args([&onnx, &model])

@@ -2,7 +2,8 @@
 
 use std::process::Command;
 
-use crate::support::{Workplace, loopboost, python_with, root, shared_data};
+use crate::require::{mcap_command, python_with, shared_data};
+use crate::support::{Workplace, loopboost, root};
 
 const CAMPUS: &str = r#"
 seed = 7
@@ -21,16 +22,15 @@ pose.topic = "/ground_truth"
 #[test]
 fn the_mcap_package_finds_no_fault() {
     let workplace = Workplace::new(CAMPUS);
-    let Some(python) = python_with("mcap, mcap_ros2, numpy, pyarrow, velodyne_decoder") else {
-        return;
-    };
+    let modules = ["mcap", "mcap_ros2", "numpy", "pyarrow", "velodyne_decoder"];
+    let Some(python) = python_with(&modules) else { return };
     for compression in ["zstd", "lz4", "none"] {
         let set = format!("simulate.compression={compression}");
         workplace.command("simulate", compression, &["--set", &set]).expect(0);
         let script = root().join("tests/peers/simulation.py");
         let mut command = Command::new(&python);
         command.arg(script).arg(workplace.path(&format!("{compression}/logs/one.mcap")));
-        if let Some(data) = shared_data() {
+        if let Some(data) = shared_data(&["logs/hdl32e-street.ros2.mcap"]) {
             command.arg(data.join("logs/hdl32e-street.ros2.mcap"));
         }
         let output = command.output().unwrap();
@@ -42,11 +42,7 @@ fn the_mcap_package_finds_no_fault() {
 /// `mcap doctor` (the `mcap` of LOOPBOOST_MCAP, or on the path) has nothing to say.
 #[test]
 fn mcap_doctor_has_nothing_to_say() {
-    let mcap = std::env::var("LOOPBOOST_MCAP").unwrap_or_else(|_| "mcap".to_owned());
-    if Command::new(&mcap).args(["doctor", "--help"]).output().is_err() {
-        println!("skipped: no mcap command (LOOPBOOST_MCAP)");
-        return;
-    }
+    let Some(mcap) = mcap_command() else { return };
     let workplace = Workplace::new(CAMPUS);
     for (encoding, compression, files) in
         [("ros2", "zstd", 1), ("ros2", "lz4", 1), ("ros2", "none", 2), ("ros1", "zstd", 2)]

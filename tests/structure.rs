@@ -149,7 +149,7 @@ fn the_schemas_are_generated_from_the_types() {
             fs::read_to_string(root().join(format!("docs/schema/{file}.json"))).unwrap();
         assert!(printed == committed, "`loopboost schema {file} > docs/schema/{file}.json`");
     }
-    let Some(python) = crate::support::python_with("jsonschema, tomllib") else { return };
+    let Some(python) = crate::require::python_with(&["jsonschema", "tomllib"]) else { return };
     let script = "import glob, json, jsonschema, sys, tomllib\n\
         schema = json.load(open(sys.argv[1] + '/docs/schema/pipeline.json'))\n\
         for path in glob.glob(sys.argv[1] + '/pipelines/*.toml'):\n\

@@ -10,33 +10,6 @@ pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// A folder of logs that are not the repository's: `LOOPBOOST_DATA`, or `../shared/data`. None,
-/// and a word on stdout, where it is absent.
-pub fn shared_data() -> Option<PathBuf> {
-    let folder = std::env::var_os("LOOPBOOST_DATA")
-        .map_or_else(|| root().join("../shared/data"), PathBuf::from);
-    if folder.is_dir() {
-        return Some(folder);
-    }
-    println!("skipped: no shared data");
-    None
-}
-
-/// A Python that has these modules: `LOOPBOOST_PYTHON`, or `python3`. None, and a word on stdout,
-/// where it lacks one.
-pub fn python_with(modules: &str) -> Option<String> {
-    let python = std::env::var("LOOPBOOST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let has_them = Command::new(&python)
-        .args(["-c", &format!("import {modules}")])
-        .output()
-        .is_ok_and(|output| output.status.success());
-    if has_them {
-        return Some(python);
-    }
-    println!("skipped: no Python with {modules} (LOOPBOOST_PYTHON)");
-    None
-}
-
 /// A finished run of the program.
 pub struct Finished {
     pub code: i32,
