@@ -7,6 +7,9 @@
 //! `LOOPBOOST_PYTHON`. The two programs run in turn. (The script can also check the values in a run
 //! folder.)
 
+#[path = "../../../tests/require.rs"]
+mod require;
+
 use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
@@ -20,11 +23,12 @@ const RUNS: usize = 3;
 
 fn main() {
     let scans: Vec<Scan> = (0..SCANS).map(room).collect();
+    let python = require::python_with(&["numpy"]);
     for set in [FeatureSet::Paper16, FeatureSet::Campus] {
         let (mut ours, mut peers) = (Vec::new(), Vec::new());
         for _ in 0..RUNS {
             ours.push(seconds_per_scan(set, &scans));
-            peers.extend(time_numpy(set));
+            peers.extend(python.as_deref().map(|python| time_numpy(python, set)));
         }
         let median = |seconds: &mut Vec<f64>| {
             seconds.sort_by(f64::total_cmp);
@@ -33,11 +37,8 @@ fn main() {
         let ours = median(&mut ours).expect("runs");
         println!("{} of {RETURNS} returns, one thread, median of {RUNS}:", set.name());
         println!("  loopboost {:>9.1} us per scan", ours * 1e6);
-        match median(&mut peers) {
-            Some(numpy) => {
-                println!("  numpy     {:>9.1} us per scan, ratio {:.1}", numpy * 1e6, numpy / ours);
-            }
-            None => println!("  skipped: no Python with numpy (LOOPBOOST_PYTHON)"),
+        if let Some(numpy) = median(&mut peers) {
+            println!("  numpy     {:>9.1} us per scan, ratio {:.1}", numpy * 1e6, numpy / ours);
         }
     }
 }
@@ -53,16 +54,15 @@ fn seconds_per_scan(set: FeatureSet, scans: &[Scan]) -> f64 {
     start.elapsed().as_secs_f64() / scans.len() as f64
 }
 
-fn time_numpy(set: FeatureSet) -> Option<f64> {
-    let python = std::env::var("LOOPBOOST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+fn time_numpy(python: &str, set: FeatureSet) -> f64 {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let output = Command::new(python)
         .arg(root.join("tests/peers/features.py"))
         .args(["--time", set.name(), &SCANS.to_string(), &RETURNS.to_string()])
         .env("OMP_NUM_THREADS", "1")
         .output()
-        .ok()?;
-    String::from_utf8_lossy(&output.stdout).trim().parse().ok()
+        .expect("Python starts");
+    String::from_utf8_lossy(&output.stdout).trim().parse().expect("the peer prints seconds")
 }
 
 /// A rectangular room, rotated and shifted, with ripples of 2 cm on the walls.

@@ -8,6 +8,9 @@
 //! alternate, so a machine that slows down affects all of them. The ratio is that of the medians. Every
 //! run must give the same scans and the same sum.
 
+#[path = "../../../tests/require.rs"]
+mod require;
+
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -20,11 +23,7 @@ const RUNS: usize = 7;
 
 fn main() {
     let mut args = std::env::args().skip(1).filter(|arg| !arg.starts_with("--"));
-    let log = args.next().map(PathBuf::from).or_else(killian);
-    let Some(log) = log.filter(|log| log.exists()) else {
-        println!("skipped: no shared data (set LOOPBOOST_DATA or pass a log)");
-        return;
-    };
+    let Some(log) = args.next().map(PathBuf::from).or_else(killian) else { return };
     let lidar = args.next().unwrap_or_else(|| "/velodyne_packets".to_owned());
     let pose = args.next().unwrap_or_else(|| "/ground_truth".to_owned());
     println!("{}", log.display());
@@ -60,10 +59,8 @@ fn main() {
 }
 
 fn killian() -> Option<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let data = std::env::var_os("LOOPBOOST_DATA")
-        .map_or_else(|| root.join("../shared/data"), PathBuf::from);
-    Some(data.join("logs/hdl32e-killian.mcap"))
+    const KILLIAN: &str = "logs/hdl32e-killian.mcap";
+    Some(require::shared_data(&[KILLIAN])?.join(KILLIAN))
 }
 
 fn options(lidar: &str, pose: &str) -> Options {

@@ -9,9 +9,12 @@
 //! (`tests/peers/packets.py`, run with the Python in `LOOPBOOST_PYTHON`). The measurements alternate.
 //! Every run must give the same scans.
 
+#[path = "../../../tests/require.rs"]
+mod require;
+
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 use std::time::Instant;
@@ -25,20 +28,15 @@ const PACKETS_PER_MESSAGE: usize = 181;
 const RUNS: usize = 5;
 
 fn main() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let data = std::env::var_os("LOOPBOOST_DATA")
-        .map_or_else(|| root.join("../shared/data"), PathBuf::from);
-    let street = data.join("logs/hdl32e-street.ros2.mcap");
-    if !street.exists() {
-        println!("skipped: no shared data (set LOOPBOOST_DATA)");
-        return;
-    }
+    const STREET: &str = "logs/hdl32e-street.ros2.mcap";
+    let Some(data) = require::shared_data(&[STREET]) else { return };
+    let Some(python) = require::python_with(&["mcap", "numpy", "velodyne_decoder"]) else { return };
+    let street = data.join(STREET);
     let packets = repeated(&packets_of(&street));
     let folder = tempfile::tempdir().expect("a temporary folder");
     let log = folder.path().join("repeated.mcap");
     write(&log, &packets);
-    let python = std::env::var("LOOPBOOST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let script = root.join("tests/peers/packets.py");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/peers/packets.py");
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
 
     let (mut ours, mut peers, mut returns) = (Vec::new(), Vec::new(), Vec::new());
@@ -51,13 +49,8 @@ fn main() {
             .args([packets.len().to_string(), "1".to_owned()])
             .output()
             .expect("Python starts");
-        match String::from_utf8_lossy(&output.stdout).trim().parse::<f64>() {
-            Ok(seconds) => peers.push(seconds),
-            Err(_) => {
-                println!("skipped: {python} has no velodyne-decoder (LOOPBOOST_PYTHON)");
-                return;
-            }
-        }
+        let seconds = String::from_utf8_lossy(&output.stdout).trim().parse::<f64>();
+        peers.push(seconds.expect("the peer prints seconds"));
     }
     assert!(returns.iter().all(|n| *n == returns[0] && 0 < *n));
     let rate = |seconds: &mut Vec<f64>| {

@@ -4,10 +4,9 @@ mod common;
 
 use std::error::Error;
 use std::f64::consts::{PI, TAU};
-use std::path::{Path, PathBuf};
 
 use common::{Entry, codes, ingest_bytes, options, pose, small_chunks, write};
-use dataset::{Pose2, Scan, Trajectory};
+use dataset::{Pose2, Scan};
 use ingest::{Frames, Ingested, Options, Origin, PlanarPose, PoseOptions};
 use messages::hdl32e::{BLOCK_PERIOD_NS, BLOCKS, LASER_PERIOD_NS, PACKET_PERIOD_NS, PacketBuilder};
 use messages::{Encoding, Imu, JointState, LaserScan, NavSatFix, StampedPose3, Transform, ros};
@@ -431,60 +430,4 @@ fn the_trajectory_contains_the_poses_of_the_lidar() {
         assert_eq!((stamped.pose.x_m, stamped.pose.y_m), (k as f64 + 0.5, -0.25));
         assert!((stamped.pose.heading_rad.rem_euclid(TAU) - PI).abs() < 1e-12);
     }
-}
-
-/// HDL-32E scans along real paths through real floor plans. Every 20th scan and the next scan are
-/// transformed to the map. Deskewing reduces the mean distance between nearest points.
-#[test]
-fn deskewing_brings_consecutive_scans_of_real_drives_closer_together() {
-    let data = std::env::var_os("LOOPBOOST_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    for name in ["killian", "csail", "aces"] {
-        let path = data.join(format!("logs/hdl32e-{name}.mcap"));
-        if !path.exists() {
-            println!("skipped: no shared data");
-            return;
-        }
-        let residual_m = |deskew| {
-            let mut options = options("/velodyne_packets", Some("/ground_truth"));
-            options.lidar.deskew = deskew;
-            let (scans, ingested) = common::ingest_file(&path, &options).unwrap();
-            let pairs = scans.windows(2).step_by(20);
-            let residuals: Vec<f64> =
-                pairs.map(|pair| nearest_m(&pair[0], &pair[1], &ingested.trajectory)).collect();
-            residuals.iter().sum::<f64>() / residuals.len() as f64
-        };
-        let (raw_m, deskewed_m) = (residual_m(false), residual_m(true));
-        println!("{name}: {raw_m:.4} m, deskewed {deskewed_m:.4} m");
-        assert!(deskewed_m < 0.97 * raw_m, "{name}: {raw_m} m, deskewed {deskewed_m} m");
-    }
-}
-
-/// Mean distance from the points of scan `b` to the nearest points of scan `a` \[m\].
-fn nearest_m(a: &Scan, b: &Scan, trajectory: &Trajectory) -> f64 {
-    let in_map = |scan: &Scan| -> Vec<[f64; 2]> {
-        let pose = trajectory.pose_at(scan.stamp_ns, 200 * MS).unwrap();
-        let (sin, cos) = pose.heading_rad.sin_cos();
-        let points = scan.x_m.iter().zip(&scan.y_m).map(|(&x, &y)| [f64::from(x), f64::from(y)]);
-        points.map(|[x, y]| [pose.x_m + cos * x - sin * y, pose.y_m + sin * x + cos * y]).collect()
-    };
-    let mut others = in_map(a);
-    others.sort_by(|p, q| p[0].total_cmp(&q[0]));
-    let nearest = |[x, y]: [f64; 2]| {
-        // Search outward from the point with the same x, until the distance in x alone is larger than
-        // the distance of the nearest point.
-        let start = others.partition_point(|p| p[0] < x);
-        let mut best = f64::INFINITY;
-        let mut look = |p: &[f64; 2]| {
-            best = best.min((p[0] - x).powi(2) + (p[1] - y).powi(2));
-            (p[0] - x).powi(2) < best
-        };
-        let _ = others[start..].iter().all(&mut look);
-        let _ = others[..start].iter().rev().all(&mut look);
-        best.sqrt()
-    };
-    let points = in_map(b);
-    points.iter().map(|&p| nearest(p)).sum::<f64>() / points.len() as f64
 }

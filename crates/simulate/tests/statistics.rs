@@ -1,26 +1,15 @@
 //! Compares simulated scans with real ones: `hdl32e-street`, 2.5 revolutions of an HDL-32E in a street.
 //! docs/simulation.md lists the numbers.
 
+#[path = "../../../tests/require.rs"]
+mod require;
+
 use std::fs;
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
 
 use messages::hdl32e::{BLOCKS, HORIZONTAL_LASER, HOUR_US, LASERS, METRES_PER_COUNT, Packet};
 use messages::{Source, read_velodyne};
 use simulate::{Campus, Lasers, Options, PACKETS_TOPIC, write_drive};
-
-/// `LOOPBOOST_DATA`, or `../shared/data` beside the project.
-fn street() -> Option<Vec<u8>> {
-    let folder = std::env::var_os("LOOPBOOST_DATA").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data"),
-        PathBuf::from,
-    );
-    let log = fs::read(folder.join("logs/hdl32e-street.ros2.mcap")).ok();
-    if log.is_none() {
-        println!("skipped: no shared data");
-    }
-    log
-}
 
 #[derive(Debug, Default)]
 struct Statistics {
@@ -136,7 +125,9 @@ fn off_a_wall_m(window: &[(u16, f64)]) -> Option<f64> {
 /// depend on the sensor only.
 #[test]
 fn simulated_scans_have_the_statistics_of_real_ones() {
-    let Some(street) = street() else { return };
+    const STREET: &str = "logs/hdl32e-street.ros2.mcap";
+    let Some(data) = require::shared_data(&[STREET]) else { return };
+    let street = fs::read(data.join(STREET)).unwrap();
     let options = Options {
         buildings: 7,
         lasers: Lasers::All,

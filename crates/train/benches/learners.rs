@@ -7,6 +7,9 @@
 //! (`tests/peers/learners.py`). Both are run in turn. Then shows how the cost of training grows
 //! with the pairs.
 
+#[path = "../../../tests/require.rs"]
+mod require;
+
 use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
@@ -57,10 +60,11 @@ fn fit(learner: model::Learner, data: &Matrix) -> f64 {
 /// The median of our seconds and of the peer's.
 fn beside(what: &str, n_pairs: usize, run: impl Fn(&Matrix) -> f64) {
     let data = drawn(n_pairs);
+    let python = require::python_with(&["numpy", "sklearn"]);
     let (mut ours, mut peers) = (Vec::new(), Vec::new());
     for _ in 0..RUNS {
         ours.push(run(&data));
-        peers.extend(peer(what, n_pairs));
+        peers.extend(python.as_deref().map(|python| peer(python, what, n_pairs)));
     }
     let median = |seconds: &mut Vec<f64>| {
         seconds.sort_by(f64::total_cmp);
@@ -69,22 +73,20 @@ fn beside(what: &str, n_pairs: usize, run: impl Fn(&Matrix) -> f64) {
     let ours = median(&mut ours).expect("runs");
     println!("{what} {n_pairs} pairs x {FEATURES}, T = {ROUNDS}, one thread, median of {RUNS}:");
     println!("  loopboost    {ours:>9.4} s, {:.1} M pairs/s", n_pairs as f64 / ours * 1e-6);
-    match median(&mut peers) {
-        Some(peer) => println!("  scikit-learn {peer:>9.4} s, ratio {:.1}", peer / ours),
-        None => println!("  skipped: no Python with scikit-learn (LOOPBOOST_PYTHON)"),
+    if let Some(peer) = median(&mut peers) {
+        println!("  scikit-learn {peer:>9.4} s, ratio {:.1}", peer / ours);
     }
 }
 
-fn peer(what: &str, n_pairs: usize) -> Option<f64> {
-    let python = std::env::var("LOOPBOOST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+fn peer(python: &str, what: &str, n_pairs: usize) -> f64 {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let output = Command::new(python)
         .arg(root.join("tests/peers/learners.py"))
         .args([&format!("--time-{what}"), &n_pairs.to_string(), &FEATURES.to_string()])
         .env("OMP_NUM_THREADS", "1")
         .output()
-        .ok()?;
-    String::from_utf8_lossy(&output.stdout).trim().parse().ok()
+        .expect("Python starts");
+    String::from_utf8_lossy(&output.stdout).trim().parse().expect("the peer prints seconds")
 }
 
 /// Differences that tell a little: negatives twice as wide as positives.
