@@ -58,11 +58,8 @@ fn consecutive_scans_of_the_real_drives_lie_closer_when_deskewed() {
 fn mean_nearest_m(workplace: &Workplace, out: &str, log: &str, every: usize) -> f64 {
     let scans = scans(&workplace.path(&format!("{out}/scans/{log}.parquet")));
     let poses = read_poses(&workplace.path(&format!("{out}/poses/{log}.parquet"))).unwrap().0;
-    let distances: Vec<f64> = scans
-        .windows(2)
-        .step_by(every)
-        .map(|pair| nearest_m(&pair[0], &pair[1], &poses))
-        .collect();
+    let distances: Vec<f64> =
+        scans.windows(2).step_by(every).map(|pair| nearest_m(&pair[0], &pair[1], &poses)).collect();
     distances.iter().sum::<f64>() / distances.len() as f64
 }
 
