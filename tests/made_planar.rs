@@ -239,7 +239,9 @@ fn add_log(logs: &mut Logs, pose_type: &'static str, encoding: Encoding, schema:
 fn scans_and_poses_of_ros_give_what_their_definitions_say() {
     let mut logs = Logs::default();
     for encoding in ROS {
-        ROS_POSES.map(|pose_type| add_log(&mut logs, pose_type, encoding, Schema::Empty));
+        for pose_type in ROS_POSES {
+            add_log(&mut logs, pose_type, encoding, Schema::Empty);
+        }
     }
     check(&logs);
 }
@@ -262,6 +264,8 @@ fn scans_and_poses_with_an_incomplete_or_missing_schema_give_the_same() {
         }
         add_log(&mut logs, ROS_POSES[0], encoding, SCHEMAS[1]);
     }
-    FOXGLOVE.map(|encoding| add_log(&mut logs, FOXGLOVE_POSE, encoding, Schema::Missing));
+    for encoding in FOXGLOVE {
+        add_log(&mut logs, FOXGLOVE_POSE, encoding, Schema::Missing);
+    }
     check(&logs);
 }
