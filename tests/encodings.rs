@@ -133,25 +133,3 @@ fn check_what_is_said(group: &str, finished: &Finished) {
         }
     }
 }
-
-/// `docs/sensors.md` claims nothing without a test: `file::function`, of `tests/` or, with a crate
-/// before it, of the crate's.
-#[test]
-fn the_tests_that_the_sensors_page_names_are_there() {
-    let page = fs::read_to_string(root().join("docs/sensors.md")).unwrap();
-    let named = page.split('`').skip(1).step_by(2).filter_map(|code| code.split_once("::"));
-    let mut n_named = 0;
-    for (file, function) in named.filter(|(_, function)| !function.is_empty()) {
-        let path = match file.split_once('/') {
-            Some((krate, file)) => format!("crates/{krate}/tests/{file}.rs"),
-            None => format!("tests/{file}.rs"),
-        };
-        let text = fs::read_to_string(root().join(&path)).unwrap_or_else(|_| panic!("no {path}"));
-        assert!(text.contains(&format!("#[test]\nfn {function}() {{")), "no {function} in {path}");
-        n_named += 1;
-    }
-    assert!(0 < n_named);
-    for row in page.lines().filter(|line| line.starts_with("| ") && !line.ends_with("| test |")) {
-        assert!(row.contains("::"), "without a test: {row}");
-    }
-}

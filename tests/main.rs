@@ -16,6 +16,7 @@ mod require;
 mod require_checks;
 mod resume;
 mod run;
+mod sensors_page;
 mod simulation;
 mod structure;
 mod support;

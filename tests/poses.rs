@@ -1,6 +1,8 @@
-//! The path of a log, drawn, and what docs/poses.md says of it.
+//! Poses fused from wheels and IMU, the plot of a path, and what docs/poses.md states.
 
 use std::fs;
+
+use dataset::tables::read_poses;
 
 use crate::support::{Workplace, loopboost, root};
 
@@ -13,6 +15,32 @@ people = 0
 [ingest]
 pose.topic = "/ground_truth"
 "#;
+
+/// With the first pose aligned, the last one is off by less than 0.5 % of the path.
+#[test]
+fn poses_fused_from_simulated_wheels_and_imu_stay_near_the_truth() {
+    let workplace = Workplace::new(&DRIVE.replace("length_m = 10.0", "length_m = 200.0"));
+    workplace.command("simulate", "out", &[]).expect(0);
+    let poses = |ingest: &str| {
+        let pipeline = format!("[ingest]\nlogs = [\"out/logs/one.mcap\"]\n{ingest}\n");
+        fs::write(workplace.path("drive.toml"), pipeline).unwrap();
+        workplace.command("ingest", "poses", &[]).expect(0);
+        read_poses(&workplace.path("poses/poses/one.parquet")).unwrap().0
+    };
+    let truth = poses("pose.topic = \"/ground_truth\"");
+    let fused = poses("pose = { wheels = \"/wheel_states\", imu = \"/imu/data\", track_m = 0.5 }");
+    assert!(fused.poses().iter().all(|pose| pose.covariance.is_some()));
+    let both: Vec<_> = truth
+        .poses()
+        .iter()
+        .filter_map(|t| Some((t.pose, fused.pose_at(t.stamp_ns, 100_000_000).ok()?)))
+        .collect();
+    let (first, last) = (both[0], both[both.len() - 1]);
+    let map_from_fused = first.0 * first.1.inverse();
+    let drift_m = (map_from_fused * last.1).distance_m(&last.0);
+    let path_m: f64 = both.windows(2).map(|pair| pair[0].0.distance_m(&pair[1].0)).sum();
+    assert!(190.0 < path_m && drift_m < 0.005 * path_m, "{drift_m:.2} m of {path_m:.0} m");
+}
 
 #[test]
 fn inspect_draws_the_path_and_what_is_known_of_it() {
