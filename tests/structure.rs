@@ -162,3 +162,43 @@ fn the_schemas_are_generated_from_the_types() {
     let output = Command::new(python).args(["-c", script]).arg(root()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
+
+/// The rows of a Markdown file that start with a code: `code`, and the next cell.
+fn coded_rows(markdown: &str) -> BTreeMap<String, String> {
+    markdown
+        .lines()
+        .filter_map(|line| line.strip_prefix("| `")?.split_once("` | "))
+        .map(|(code, rest)| {
+            let cell = rest.split(" | ").next().unwrap_or_default();
+            (code.to_owned(), cell.to_owned())
+        })
+        .collect()
+}
+
+#[test]
+fn the_docs_list_every_code_of_a_loss_a_note_and_an_error_of_a_log() {
+    let docs = fs::read_to_string(root().join("docs/messages.md")).unwrap();
+    let rows = coded_rows(&docs);
+    let source = fs::read_to_string(root().join("crates/ingest/src/error.rs")).unwrap();
+    let (_, codes) = source.split_once("pub fn code(&self)").unwrap();
+    let (codes, _) = codes.split_once("\n    }\n").unwrap();
+    let errors: Vec<&str> = codes.split('"').skip(1).step_by(2).collect();
+    assert!(errors.contains(&"not_mcap"), "{errors:?}");
+    let severities: BTreeMap<&str, &str> = dataset::LossKind::SEVERITIES
+        .iter()
+        .chain(dataset::NoteKind::SEVERITIES)
+        .copied()
+        .collect();
+    for code in severities.keys().chain(&errors) {
+        assert!(rows.contains_key(*code), "docs/messages.md does not list `{code}`");
+    }
+    for (code, severity) in &severities {
+        assert_eq!(rows[*code], *severity, "docs/messages.md: severity of `{code}`");
+    }
+    let known: BTreeSet<&str> = severities.keys().copied().chain(errors).collect();
+    // A missing file and the severities themselves have no variant of their own.
+    let others = ["log_missing", "info", "warning", "error"];
+    for code in rows.keys().filter(|code| !others.contains(&code.as_str())) {
+        assert!(known.contains(code.as_str()), "docs/messages.md lists the unknown code `{code}`");
+    }
+}

@@ -21,7 +21,7 @@ pub enum Severity {
 
 impl Severity {
     /// The name in messages and tables.
-    pub fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Info => "info",
             Self::Warning => "warning",
@@ -130,6 +130,10 @@ macro_rules! codes {
         impl $name {
             /// Every code, in the order of declaration.
             pub const CODES: &'static [&'static str] = &[$($code),*];
+
+            /// Every code with the name of its severity, in the order of declaration.
+            pub const SEVERITIES: &'static [(&'static str, &'static str)] =
+                &[$(($code, $crate::Severity::$severity.name())),*];
 
             /// The stable name in tables and JSON.
             pub fn code(&self) -> &'static str {
