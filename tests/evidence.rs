@@ -76,7 +76,7 @@ fn folds_do_not_split_scans_or_places_and_each_pair_is_scored_once() {
         let touched: BTreeSet<[u32; 2]> =
             s.folds.iter().map(|&[a, b]| [a.min(b), a.max(b)]).collect();
         let fits = rounds.iter().filter(|r| r.learner == s.learner).filter_map(|r| {
-            r.left_out.as_ref().filter(|l| l.grouping == s.grouping).map(|l| l.folds)
+            r.held_out.as_ref().filter(|l| l.grouping == s.grouping).map(|l| l.folds)
         });
         assert_eq!(fits.collect::<BTreeSet<_>>(), touched, "{}", s.grouping);
     }

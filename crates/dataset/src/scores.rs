@@ -23,12 +23,12 @@ impl Scores {
     }
 }
 
-/// The folds that a fit did not see.
+/// The folds that a fit did not train on.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-pub struct LeftOut {
+pub struct HeldOut {
     /// What was kept together on one side of a fold.
     pub grouping: String,
-    /// The two folds, ascending; twice the same where one was left out.
+    /// The two folds, ascending; the same fold twice if only one was held out.
     pub folds: [u32; 2],
 }
 
@@ -37,8 +37,8 @@ pub struct LeftOut {
 pub struct BoostingRound {
     /// The learner's name.
     pub learner: String,
-    /// What the fit did not see; none for the model fitted on all pairs.
-    pub left_out: Option<LeftOut>,
+    /// The folds held out; `None` for the model fitted on all pairs.
+    pub held_out: Option<HeldOut>,
     /// Round, from 1.
     pub round: u32,
     /// Node of the tree, 0 its root, the children of k at 2 k + 1 and 2 k + 2; none for weak
@@ -97,6 +97,21 @@ pub struct RetrievalPoint {
     pub true_positive: u64,
     /// Negatives called positive.
     pub false_positive: u64,
+}
+
+/// How useful one feature is on its own, and to the models.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FeatureUsefulness {
+    /// The feature's name.
+    pub name: String,
+    /// Area under the ROC curve when the feature alone ranks the pairs: 0.5 is chance, 1 is
+    /// perfect.
+    pub auc: f64,
+    /// Median change of the feature when a scan loses every other return, as a share of the
+    /// feature's interquartile range.
+    pub stability: f64,
+    /// Number of splits on the feature, over the rounds of all models fitted on all pairs.
+    pub chosen: u64,
 }
 
 /// The cross-validated error of a learner on pairs drawn by other label rules.

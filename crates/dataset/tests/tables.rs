@@ -11,7 +11,7 @@ use dataset::tables::{
     write_keyframes, write_pairs, write_poses, write_retrieval, write_rounds, write_scores,
 };
 use dataset::{
-    BoostingRound, Dropped, GridCell, Keyframe, Label, LeftOut, Pair, Pose2, Retrieval,
+    BoostingRound, Dropped, GridCell, Keyframe, Label, HeldOut, Pair, Pose2, Retrieval,
     RetrievalPoint, Scan, ScanId, Scores, StampedPose, Trajectory,
 };
 
@@ -196,17 +196,17 @@ fn evidence_survives() {
     write_scores(&at("scores"), &provenance(), &keyframes(), &pairs, &scores).unwrap();
     assert_eq!(read_scores(&at("scores"), &pairs).unwrap(), (scores, provenance()));
 
-    let round = |left_out, node| BoostingRound {
+    let round = |held_out, node| BoostingRound {
         learner: "discrete".into(),
-        left_out,
+        held_out,
         round: 1,
         node,
         feature: "size".into(),
         threshold: Some(0.5),
         weighted_error: 0.25,
     };
-    let left_out = LeftOut { grouping: "place".into(), folds: [2, 7] };
-    let rounds = vec![round(None, None), round(Some(left_out), Some(2))];
+    let held_out = HeldOut { grouping: "place".into(), folds: [2, 7] };
+    let rounds = vec![round(None, None), round(Some(held_out), Some(2))];
     write_rounds(&at("rounds"), &provenance(), &rounds).unwrap();
     assert_eq!(read_rounds(&at("rounds")).unwrap(), (rounds, provenance()));
 

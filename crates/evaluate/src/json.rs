@@ -30,7 +30,7 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
         "keyframes": input.keyframes.len(),
         "pairs": { "positive": count(Label::Positive), "negative": count(Label::Negative) },
         "resamples": input.resamples,
-        "left_out": input.left_out,
+        "left_out": input.not_evaluated,
         "summary": evaluation.summaries,
         "errors": errors.map(|row| json!({
             "learner": row.learner,
@@ -41,7 +41,7 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
             "recall": row.confusion.recall(),
         })).collect::<Vec<_>>(),
         "every_pair": input.retrieval.iter().map(retrieval).collect::<Vec<_>>(),
-        "features": input.feature_rows.iter().map(|row| json!({
+        "features": input.feature_usefulness.iter().map(|row| json!({
             "feature": row.name,
             "auc": row.auc,
             "stability": row.stability,

@@ -33,7 +33,7 @@ mod tables;
 mod text;
 
 use dataset::tables::FeatureTable;
-use dataset::{BoostingRound, Dropped, GridCell, Keyframe, Label, Pair, Retrieval, Scores};
+use dataset::{BoostingRound, Dropped, FeatureUsefulness, GridCell, Keyframe, Label, Pair, Retrieval, Scores};
 
 pub use bootstrap::{Estimate, MIN_GROUPS, Summary};
 pub use figures::{Figure, Sketches, figures, path_svg, write_figures};
@@ -58,7 +58,7 @@ pub struct Input<'a> {
     /// The scores of the pairs, `(n_learners * n_groupings,)`.
     pub scores: &'a [Scores],
     /// For each requested grouping that could not be evaluated, the reason.
-    pub left_out: &'a [String],
+    pub not_evaluated: &'a [String],
     /// The feature that each boosting round selected.
     pub rounds: &'a [BoostingRound],
     /// Retrieval at natural prevalence; empty if not requested.
@@ -68,27 +68,13 @@ pub struct Input<'a> {
     /// The features of the keyframes, one row per keyframe.
     pub features: &'a FeatureTable,
     /// The usefulness of each feature; may be empty.
-    pub feature_rows: &'a [FeatureRow],
+    pub feature_usefulness: &'a [FeatureUsefulness],
     /// Number of bootstrap resamples for confidence intervals.
     pub resamples: u32,
     /// The run's seed.
     pub seed: u64,
     /// What the stages of the run left out.
     pub dropped: &'a Dropped,
-}
-
-/// The usefulness of one feature.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FeatureRow {
-    /// Its name.
-    pub name: String,
-    /// Area under the ROC curve of the feature alone: 0.5 is chance, 1 is perfect.
-    pub auc: f64,
-    /// How much the feature changes when every other return of a scan is removed: the median,
-    /// relative to the interquartile range of the feature over the scans.
-    pub stability: f64,
-    /// Number of splits that use the feature, in the models of all learners trained on all pairs.
-    pub chosen: usize,
 }
 
 impl Input<'_> {

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_array::{ArrayRef, Float64Array, Int8Array, StringArray, UInt32Array, UInt64Array};
-use dataset::BoostingRound;
+use dataset::{BoostingRound, FeatureUsefulness};
 use dataset::tables::{Provenance, Result, batch, floats, strings, write_table};
 
-use crate::{Confusion, ErrorRow, Evaluation, FeatureRow, Input, Mistake, PrCurve, Summary};
+use crate::{Confusion, ErrorRow, Evaluation, Input, Mistake, PrCurve, Summary};
 
 /// Writes `summary`, `errors`, `precision_recall`, `selection`, `features` and `mistakes` to a folder
 /// and returns their paths.
@@ -31,7 +31,7 @@ pub fn write_tables(
         errors(&evaluation.errors),
         precision_recall(&evaluation.precision_recall),
         selection(input.rounds, &evaluation.errors),
-        features(input.feature_rows),
+        features(input.feature_usefulness),
         mistakes(input, &evaluation.mistakes),
     ];
     let mut written = Vec::new();
@@ -128,12 +128,12 @@ fn precision_recall(curves: &[PrCurve]) -> Table {
 
 fn selection(rows: &[BoostingRound], errors: &[ErrorRow]) -> Table {
     let fold = |end: usize| -> ArrayRef {
-        let folds = rows.iter().map(|r| r.left_out.as_ref().map(|l| l.folds[end]));
+        let folds = rows.iter().map(|r| r.held_out.as_ref().map(|l| l.folds[end]));
         Arc::new(folds.collect::<UInt32Array>())
     };
-    let groupings = rows.iter().map(|r| r.left_out.as_ref().map(|l| &*l.grouping));
+    let groupings = rows.iter().map(|r| r.held_out.as_ref().map(|l| &*l.grouping));
     let error_after = |r: &BoostingRound| {
-        let is_of_all_pairs = r.left_out.is_none();
+        let is_of_all_pairs = r.held_out.is_none();
         let mut rows = errors.iter();
         let row = rows
             .find(|e| is_of_all_pairs && e.learner == r.learner && e.rounds == r.round as usize);
@@ -156,14 +156,14 @@ fn selection(rows: &[BoostingRound], errors: &[ErrorRow]) -> Table {
     }
 }
 
-fn features(rows: &[FeatureRow]) -> Table {
+fn features(rows: &[FeatureUsefulness]) -> Table {
     Table {
         name: "features",
         columns: vec![
             ("feature", strings(rows.iter().map(|r| &*r.name))),
             ("auc", floats(rows.iter().map(|r| r.auc))),
             ("stability", floats(rows.iter().map(|r| r.stability))),
-            ("chosen", counts(rows.iter().map(|r| r.chosen))),
+            ("chosen", Arc::new(UInt64Array::from_iter_values(rows.iter().map(|r| r.chosen)))),
         ],
         nullable: &[],
     }

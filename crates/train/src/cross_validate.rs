@@ -34,7 +34,7 @@ pub struct CrossValidated {
 #[derive(Debug, Clone, PartialEq)]
 pub struct FoldFit {
     /// The folds left out, ascending; twice the same where it is one.
-    pub left_out: [u32; 2],
+    pub held_out: [u32; 2],
     /// The rounds; none for a baseline.
     pub rounds: Vec<Round>,
     scorer: Scorer,
@@ -54,21 +54,21 @@ pub enum FoldError {
     /// What is left to train on lacks a class.
     #[error(
         "without {}, {n_positive} positive and {n_negative} negative pairs are left to train on, expected both; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or leave the grouping out",
-        folds(.left_out)
+        folds(.held_out)
     )]
     OneClass {
         /// The folds left out.
-        left_out: [u32; 2],
+        held_out: [u32; 2],
         /// Positive pairs left.
         n_positive: usize,
         /// Negative pairs left.
         n_negative: usize,
     },
     /// The learner cannot be fitted.
-    #[error("without {}: {error}", folds(.left_out))]
+    #[error("without {}: {error}", folds(.held_out))]
     Fit {
         /// The folds left out.
-        left_out: [u32; 2],
+        held_out: [u32; 2],
         /// Why not.
         error: TrainError,
     },
@@ -93,7 +93,7 @@ fn training_rows(folded: &Folded<'_>, [a, b]: [u32; 2]) -> Result<Vec<usize>, Fo
     let (mut positive, mut negative) = (rows_of(Label::Positive), rows_of(Label::Negative));
     let (n_positive, n_negative) = (positive.len(), negative.len());
     if n_positive == 0 || n_negative == 0 {
-        return Err(FoldError::OneClass { left_out: [a, b], n_positive, n_negative });
+        return Err(FoldError::OneClass { held_out: [a, b], n_positive, n_negative });
     }
     for rows in [&mut positive, &mut negative] {
         rows.sort_unstable_by_key(|&row| (folded.keys[row], row));
@@ -109,21 +109,21 @@ pub fn fit_without(
     learner: Learner,
     n_rounds: u32,
     folded: &Folded<'_>,
-    left_out: [u32; 2],
+    held_out: [u32; 2],
 ) -> Result<FoldFit, FoldError> {
-    let training = folded.data.select(&training_rows(folded, left_out)?);
-    let failed = |error| FoldError::Fit { left_out, error };
+    let training = folded.data.select(&training_rows(folded, held_out)?);
+    let failed = |error| FoldError::Fit { held_out, error };
     if let Some(boosting) = learner.boosting() {
         let rounds = fit(boosting, n_rounds, &training).map_err(failed)?;
         let scorer = Scorer::Boosted(classifier(boosting, &rounds));
-        return Ok(FoldFit { left_out, rounds, scorer });
+        return Ok(FoldFit { held_out, rounds, scorer });
     }
     training.check().map_err(failed)?;
     let scorer = match learner {
         Learner::Svm => Scorer::Linear(svm::Linear::fit(&training)),
         _ => Scorer::Neighbours(training),
     };
-    Ok(FoldFit { left_out, rounds: Vec::new(), scorer })
+    Ok(FoldFit { held_out, rounds: Vec::new(), scorer })
 }
 
 impl FoldFit {
@@ -177,10 +177,10 @@ pub fn cross_validate(
     let touched: BTreeSet<[u32; 2]> = folded.folds.iter().copied().map(ascending).collect();
     let by_folds = touched
         .into_par_iter()
-        .map(|left_out| {
-            let fit = fit_without(learner, n_rounds, folded, left_out)?;
+        .map(|held_out| {
+            let fit = fit_without(learner, n_rounds, folded, held_out)?;
             let rows: Vec<usize> = (0..folded.folds.len())
-                .filter(|&row| ascending(folded.folds[row]) == left_out)
+                .filter(|&row| ascending(folded.folds[row]) == held_out)
                 .collect();
             let staged = fit.staged(folded.data, &rows, n);
             Ok((fit, rows, staged))
@@ -222,8 +222,8 @@ mod tests {
         assert!(result.confidences[0] < 0.0 && result.confidences[2] < 0.0);
         // Without fold 1: threshold 8.5, positive above: 1 is negative, 10 positive.
         assert!(result.confidences[4] < 0.0 && result.confidences[6] > 0.0);
-        let left_out: Vec<_> = result.fits.iter().map(|fit| fit.left_out).collect();
-        assert_eq!(left_out, [[0, 0], [1, 1]]);
+        let held_out: Vec<_> = result.fits.iter().map(|fit| fit.held_out).collect();
+        assert_eq!(held_out, [[0, 0], [1, 1]]);
     }
 
     /// A pair between folds 0 and 1 is scored by what was learned in fold 2 alone, though there are
@@ -249,8 +249,8 @@ mod tests {
         assert_eq!(result.fits[1], fit);
         assert_eq!(result.confidences[0].to_bits(), fit.confidence(&[3.0]).unwrap().to_bits());
         assert!(result.confidences[0] > 0.0 && result.confidences[1] > 0.0);
-        let left_out: Vec<_> = result.fits.iter().map(|fit| fit.left_out).collect();
-        assert_eq!(left_out, [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]]);
+        let held_out: Vec<_> = result.fits.iter().map(|fit| fit.held_out).collect();
+        assert_eq!(held_out, [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]]);
     }
 
     /// Three negatives and one positive are left: the negative of the smallest key stays.
@@ -275,7 +275,7 @@ mod tests {
         let folds = [[0, 0], [1, 1], [2, 2]];
         let folded = Folded { data: &data, folds: &folds, keys: &[0; 3] };
         let error = cross_validate(Learner::Discrete, 1, &folded).unwrap_err();
-        assert_eq!(error, FoldError::OneClass { left_out: [1, 1], n_positive: 2, n_negative: 0 });
+        assert_eq!(error, FoldError::OneClass { held_out: [1, 1], n_positive: 2, n_negative: 0 });
         let text = error.to_string();
         assert!(text.starts_with("without fold 1, 2 positive and 0 negative pairs"), "{text}");
     }

@@ -13,7 +13,7 @@ use arrow_schema::{DataType, Field};
 use super::columns::Columns;
 use super::nouns::{batch, strings};
 use super::{Provenance, Result, TableError, read_table, write_table};
-use crate::{BoostingRound, Keyframe, LeftOut, Pair, Scores};
+use crate::{BoostingRound, Keyframe, HeldOut, Pair, Scores};
 
 /// Writes `scores.parquet`: a row for each learner, grouping and pair, the pairs in the order of
 /// `pairs.parquet`.
@@ -116,7 +116,7 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
 /// Writes `rounds.parquet`.
 pub fn write_rounds(path: &Path, provenance: &Provenance, rounds: &[BoostingRound]) -> Result<()> {
     let fold = |of: usize| -> ArrayRef {
-        let folds = rounds.iter().map(|r| r.left_out.as_ref().map(|left_out| left_out.folds[of]));
+        let folds = rounds.iter().map(|r| r.held_out.as_ref().map(|held_out| held_out.folds[of]));
         Arc::new(folds.collect::<UInt32Array>())
     };
     let columns: Vec<(&str, ArrayRef)> = vec![
@@ -126,7 +126,7 @@ pub fn write_rounds(path: &Path, provenance: &Provenance, rounds: &[BoostingRoun
             Arc::new(
                 rounds
                     .iter()
-                    .map(|r| r.left_out.as_ref().map(|left_out| &*left_out.grouping))
+                    .map(|r| r.held_out.as_ref().map(|held_out| &*held_out.grouping))
                     .collect::<StringArray>(),
             ),
         ),
@@ -165,7 +165,7 @@ pub fn read_rounds(path: &Path) -> Result<(Vec<BoostingRound>, Provenance)> {
     let rows = (0..table.num_rows())
         .map(|row| BoostingRound {
             learner: learners.value(row).to_owned(),
-            left_out: folds.is_valid(row).then(|| LeftOut {
+            held_out: folds.is_valid(row).then(|| HeldOut {
                 grouping: groupings.value(row).to_owned(),
                 folds: [folds.value(row), others.value(row)],
             }),

@@ -43,7 +43,7 @@ const SHOWN: f64 = 0.97;
 pub(super) fn scatter(input: &Input<'_>) -> Option<Scatter> {
     let thresholds_of = |learner: &str| -> Option<[FeatureThreshold; 2]> {
         let mut found: Vec<FeatureThreshold> = Vec::new();
-        for r in input.rounds.iter().filter(|r| r.left_out.is_none() && r.learner == learner) {
+        for r in input.rounds.iter().filter(|r| r.held_out.is_none() && r.learner == learner) {
             if found.iter().all(|t| t.feature != r.feature) {
                 let (feature, threshold) = (r.feature.clone(), r.threshold?);
                 found.push(FeatureThreshold { feature, round: r.round, threshold });

@@ -37,7 +37,7 @@ pub(super) fn section(input: &Input<'_>, evaluation: &Evaluation, figures: &[Fig
 fn selection_table(input: &Input<'_>, evaluation: &Evaluation, grouping: &str) -> Markup {
     let learners = distinct(input.rounds.iter().map(|r| &*r.learner));
     let selected = |learner: &str, round: u32| {
-        let mut of_all_pairs = input.rounds.iter().filter(|r| r.left_out.is_none());
+        let mut of_all_pairs = input.rounds.iter().filter(|r| r.held_out.is_none());
         of_all_pairs.find(|r| r.learner == learner && r.round == round)
     };
     let error_after = |r: &BoostingRound| {
@@ -75,7 +75,7 @@ fn selection_table(input: &Input<'_>, evaluation: &Evaluation, grouping: &str) -
 fn same_in_folds(input: &Input<'_>, selected: &BoostingRound) -> String {
     let of_round = || {
         input.rounds.iter().filter(|r| {
-            r.left_out.is_some() && r.learner == selected.learner && r.round == selected.round
+            r.held_out.is_some() && r.learner == selected.learner && r.round == selected.round
         })
     };
     let n_same = of_round().filter(|r| r.feature == selected.feature).count();
@@ -84,10 +84,10 @@ fn same_in_folds(input: &Input<'_>, selected: &BoostingRound) -> String {
 
 /// The single features with the greatest AUC. Nothing if they were not evaluated.
 fn single_features(input: &Input<'_>) -> Markup {
-    if input.feature_rows.is_empty() {
+    if input.feature_usefulness.is_empty() {
         return html! {};
     }
-    let mut rows: Vec<_> = input.feature_rows.iter().collect();
+    let mut rows: Vec<_> = input.feature_usefulness.iter().collect();
     rows.sort_by(|a, b| b.auc.total_cmp(&a.auc).then(a.name.cmp(&b.name)));
     rows.truncate(FEATURES_SHOWN);
     html! {

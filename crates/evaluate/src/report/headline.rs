@@ -24,7 +24,7 @@ pub(super) fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
             ": " (logs.join(", ")) "."
         }
         (errors(input, evaluation))
-        @for reason in input.left_out { p class="note" { "Not evaluated: " (reason) "." } }
+        @for reason in input.not_evaluated { p class="note" { "Not evaluated: " (reason) "." } }
     }
 }
 

@@ -6,8 +6,8 @@ use dataset::tables::{
     Provenance, TableError, read_features, read_grid, read_keyframes, read_pairs, read_retrieval,
     read_rounds, read_scores, write_file,
 };
-use dataset::{Dropped, Keyframe, Scan};
-use evaluate::{Evaluation, Fact, FeatureRow, Input, Sketches};
+use dataset::{Dropped, FeatureUsefulness, Keyframe, Scan};
+use evaluate::{Evaluation, Fact, Input, Sketches};
 
 use crate::config::Config;
 use crate::run::{Done, Run};
@@ -33,7 +33,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
     let (features, _) = read_features(&run.path_of(Artifact::Features))?;
     let (scores, of_scores) = read_scores(&run.path_of(Artifact::Scores), &pairs)?;
-    let left_out: Vec<String> = of_scores.dropped.iter().map(|(why, _)| why.to_owned()).collect();
+    let not_evaluated: Vec<String> = of_scores.dropped.iter().map(|(why, _)| why.to_owned()).collect();
     let (rounds, _) = read_rounds(&run.path_of(Artifact::Rounds))?;
     let (retrieval, _) = read_retrieval(&run.path_of(Artifact::Retrieval))?;
     let (grid, _) = read_grid(&run.path_of(Artifact::Grid))?;
@@ -51,9 +51,9 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         keyframes: &keyframes,
         pairs: &pairs,
         features: &features,
-        feature_rows: &[],
+        feature_usefulness: &[],
         scores: &scores,
-        left_out: &left_out,
+        not_evaluated: &not_evaluated,
         rounds: &rounds,
         retrieval: &retrieval,
         grid: &grid,
@@ -64,7 +64,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let evaluation = evaluate::evaluate(&input);
     let (sketches, thinned) = look_at_scans(run, &input, &evaluation)?;
     let feature_rows = feature_rows(run, &input, &thinned);
-    let input = Input { feature_rows: &feature_rows, ..input };
+    let input = Input { feature_usefulness: &feature_rows, ..input };
     let figures = evaluate::figures(&input, &evaluation, &sketches);
     let mut done = Done { said: summary_lines(&input, &evaluation), ..Done::default() };
     let folder = run.path("evaluation");
@@ -90,14 +90,14 @@ const THINNED_SCANS: usize = 1000;
 
 /// What each feature is worth by itself, how far it moves when scans are thinned, and how often the
 /// rounds of the models chose it.
-fn feature_rows(run: &Run, input: &Input<'_>, scans: &[Scan]) -> Vec<FeatureRow> {
+fn feature_rows(run: &Run, input: &Input<'_>, scans: &[Scan]) -> Vec<FeatureUsefulness> {
     let stability = featurize::stability(&run.config.featurize, scans);
     let auc = train::feature_auc(&super::train::matrix(input.pairs, input.features));
     let chosen = |name: &String| {
-        input.rounds.iter().filter(|r| r.left_out.is_none() && r.feature == *name).count()
+        input.rounds.iter().filter(|r| r.held_out.is_none() && r.feature == *name).count() as u64
     };
     let rows = input.features.names.iter().zip(auc.into_iter().zip(stability));
-    rows.map(|(name, (auc, stability))| FeatureRow {
+    rows.map(|(name, (auc, stability))| FeatureUsefulness {
         name: name.clone(),
         auc,
         stability,

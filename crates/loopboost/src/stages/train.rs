@@ -7,7 +7,7 @@ use dataset::tables::{
     FeatureTable, Provenance, read_features, read_keyframes, read_pairs, write_grid,
     write_retrieval, write_rounds, write_scores,
 };
-use dataset::{BoostingRound, Dropped, FULL_RING_DEG, Keyframe, Label, LeftOut, Pair, Scores};
+use dataset::{BoostingRound, Dropped, FULL_RING_DEG, Keyframe, Label, HeldOut, Pair, Scores};
 use evaluate::{Confusion, operating_points};
 use ingest::LidarOptions;
 use label::{FoldOptions, Folds, Grouping};
@@ -59,7 +59,7 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
         .into_iter()
         .collect::<Result<_>>()?;
     let mut groupings = Vec::new();
-    let mut left_out = Dropped::default();
+    let mut not_evaluated = Dropped::default();
     let mut said = Vec::new();
     for &grouping in &options.evaluate.groupings {
         let fold_options = fold_options(options.evaluate, grouping, run.config.seed);
@@ -68,7 +68,7 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
             Err(error) if options.evaluate.require_groupings => return Err(error),
             Err(error) => {
                 said.push(format!("left out: {error:#}"));
-                left_out.add(format!("{error:#}"), 1);
+                not_evaluated.add(format!("{error:#}"), 1);
             }
         }
     }
@@ -86,7 +86,7 @@ fn train(run: &Run, options: &Options<'_>, provenance: &Provenance) -> Result<Do
         said,
         ..Done::default()
     };
-    let of_scores = Provenance { dropped: left_out, ..provenance.clone() };
+    let of_scores = Provenance { dropped: not_evaluated, ..provenance.clone() };
     write_scores(&run.path_of(Artifact::Scores), &of_scores, &keyframes, &pairs, &scores)?;
     write_rounds(&run.path_of(Artifact::Rounds), provenance, &rounds)?;
     write_retrieval(&run.path_of(Artifact::Retrieval), provenance, &retrieval)?;
@@ -187,13 +187,13 @@ fn folded<'a>(data: &'a Matrix, folds: &'a Folds) -> Folded<'a> {
 
 impl Fitted {
     fn boosting_rounds(&self, names: &[String]) -> Vec<BoostingRound> {
-        let rows = |left_out: Option<LeftOut>, rounds: &[Round]| -> Vec<BoostingRound> {
+        let rows = |held_out: Option<HeldOut>, rounds: &[Round]| -> Vec<BoostingRound> {
             (1..)
                 .zip(rounds)
                 .flat_map(|(round, fitted)| fitted.weak.splits().map(move |s| (round, fitted, s)))
                 .map(|(round, fitted, split)| BoostingRound {
                     learner: self.learner.name().to_owned(),
-                    left_out: left_out.clone(),
+                    held_out: held_out.clone(),
                     round,
                     node: split.node,
                     feature: names[split.feature].clone(),
@@ -205,7 +205,7 @@ impl Fitted {
         let of_folds = self.fits.iter().flat_map(|(grouping, fits)| {
             fits.iter().flat_map(|fit| {
                 let grouping = grouping.name().to_owned();
-                rows(Some(LeftOut { grouping, folds: fit.left_out }), &fit.rounds)
+                rows(Some(HeldOut { grouping, folds: fit.held_out }), &fit.rounds)
             })
         });
         rows(None, &self.rounds).into_iter().chain(of_folds).collect()

@@ -90,7 +90,7 @@ impl Fits {
                 if b < a {
                     return Ok(None); // the same as without b and a
                 }
-                if let Some(fit) = known.iter().find(|fit| fit.left_out == [a, b]) {
+                if let Some(fit) = known.iter().find(|fit| fit.held_out == [a, b]) {
                     return Ok(Some(fit.clone()));
                 }
                 match train::fit_without(learner, n_rounds, &folded(data, folds), [a, b]) {
