@@ -112,9 +112,10 @@ fn usage_errors_exit_2() {
         .expect(2)
         .says(&["`subsample.spacing_m` is 0, expected more than 0"]);
     for (option, says) in [
-        ("evaluate.folds=101", "no more than `label.pairs_per_class`"),
+        ("evaluate.folds=101", "at most `label.pairs_per_class`"),
         ("train.rounds=4000000000", "`train.rounds` is 4000000000"),
-        ("evaluate.groupings=[\"pair\", \"pair\"]", "names a grouping twice"),
+        ("evaluate.groupings=[\"pair\", \"pair\"]", "expected each grouping once"),
+        ("evaluate.recent_m=20", "was renamed: use `evaluate.min_separation_m`"),
         ("simulate.spin_hz=50", "spin_hz"),
         ("ingest.logs=[]", "`ingest.logs` is empty"),
     ] {

@@ -93,7 +93,7 @@ fn folds_do_not_split_scans_or_places_and_each_pair_is_scored_once() {
 #[test]
 fn retrieval_counts_all_pairs_of_a_log_by_the_label_rules() {
     let workplace = Workplace::new(PIPELINE);
-    workplace.command("run", "out", &["--set", "evaluate.recent_m=12.5"]).expect(0);
+    workplace.command("run", "out", &["--set", "evaluate.min_separation_m=12.5"]).expect(0);
     let out = |name: &str| workplace.path("out").join(name);
     let (keyframes, _) = read_keyframes(&out("keyframes.parquet")).unwrap();
     let (rows, _) = read_retrieval(&out("retrieval.parquet")).unwrap();
@@ -150,7 +150,7 @@ fn retrieval_counts_all_pairs_of_a_log_by_the_label_rules() {
     workplace.command("run", "out", &["--set", "evaluate.max_pairs=10000"]).expect(0);
     let (thinned, _) = read_retrieval(&out("retrieval.parquet")).unwrap();
     assert!(thinned[0].query_stride > 1 && thinned[0].n_positive < rows[0].n_positive);
-    workplace.command("run", "out", &["--set", "evaluate.every_pair=false"]).expect(0);
+    workplace.command("run", "out", &["--set", "evaluate.retrieval=false"]).expect(0);
     assert!(read_retrieval(&out("retrieval.parquet")).unwrap().0.is_empty());
 }
 
@@ -227,10 +227,11 @@ fn a_grouping_that_cannot_be_held_out_gives_an_error_with_the_remedy() {
         .expect(2)
         .says(&["`evaluate.groupings` has `log`", "add logs, or leave `log` out"]);
     assert!(!workplace.path("out/logs").exists(), "the error comes before any stage runs");
-    // With two logs, no training pairs remain without both.
-    let why = "grouping `log`: without folds 0 and 1, 0 positive and 0 negative pairs are left";
+    // With two logs, no training pairs remain if both are held out.
+    let why =
+        "grouping `log`: with folds 0 and 1 held out, 0 positive and 0 negative pairs are left";
     let none = workplace.command("run", "out", &by_log).expect(1);
-    none.says(&["no grouping can be evaluated", why, "leave the grouping out"]);
+    none.says(&["no grouping can be evaluated", why, "remove the grouping"]);
     // With another grouping that can be evaluated, it is left out and reported, or it is an error.
     let both = ["--set", "evaluate.groupings=[\"pair\", \"log\"]"];
     let stdout = workplace.command("run", "out", &both).expect(0).stdout;
@@ -246,5 +247,5 @@ fn a_grouping_that_cannot_be_held_out_gives_an_error_with_the_remedy() {
     workplace
         .command("run", "out", &["--set", "evaluate.grid.negative_min_m=[1.0]"])
         .expect(2)
-        .says(&["[evaluate.grid], as `label.negative_min_m` is 1"]);
+        .says(&["`evaluate.grid.negative_min_m` is 1"]);
 }

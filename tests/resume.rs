@@ -116,12 +116,27 @@ fn a_dry_run_tells_what_would_be_done_and_why_and_does_nothing() {
     for line in [
         "label                    would run: positive_radius_m: 1.5 -> 2.0",
         "featurize                would run: forced",
-        "train                    would run if its inputs change: pairs.parquet may change, features.parquet may change",
+        "train                    would run if its inputs change: pairs.parquet may change, features.parquet may change, feature_stability.parquet may change",
         "subsample                up to date",
     ] {
         assert!(told.contains(line), "`{line}` is not in:\n{told}");
     }
     assert!(workplace.files("out") == before);
+}
+
+/// Only `evaluate` uses the number of resamples.
+#[test]
+fn a_new_number_of_resamples_retrains_nothing() {
+    let workplace = Workplace::new(PIPELINE);
+    workplace.command("run", "out", &[]).expect(0);
+    let resamples = ["--set", "evaluate.resamples=500"];
+    let dry_run = [&["--dry-run"][..], &resamples].concat();
+    let planned = workplace.command("run", "out", &dry_run).expect(0).stdout;
+    let would_run: Vec<&str> =
+        planned.lines().filter(|line| !line.ends_with("up to date")).collect();
+    let expected = "evaluate                 would run: evaluate.resamples 1000 is now 500";
+    assert_eq!(would_run, [expected], "{planned}");
+    assert_eq!(done(&workplace.command("run", "out", &resamples).expect(0)), ["evaluate"]);
 }
 
 #[test]

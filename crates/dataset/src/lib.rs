@@ -31,4 +31,6 @@ pub use pose::{NoPose, Pose2, StampedPose, Trajectory, wrap_angle};
 pub use quantile::{quantile, value_at_rank};
 pub use random::SplitMix64;
 pub use scan::{FULL_RING_DEG, RangeLimits, Scan, Unusable};
-pub use scores::{BoostingRound, FeatureUsefulness, GridCell, HeldOut, Retrieval, RetrievalPoint, Scores};
+pub use scores::{
+    BoostingRound, FeatureUsefulness, GridCell, HeldOut, Retrieval, RetrievalPoint, Scores,
+};

@@ -6,13 +6,14 @@ use std::path::Path;
 
 use dataset::tables::scans::{read_scan_headers, read_scans, write_scans};
 use dataset::tables::{
-    FeatureTable, Provenance, TableError, read_features, read_grid, read_keyframes, read_pairs,
-    read_poses, read_retrieval, read_rounds, read_scores, write_features, write_grid,
+    FeatureTable, Provenance, TableError, read_feature_stability, read_feature_usefulness,
+    read_features, read_grid, read_keyframes, read_pairs, read_poses, read_retrieval, read_rounds,
+    read_scores, write_feature_stability, write_feature_usefulness, write_features, write_grid,
     write_keyframes, write_pairs, write_poses, write_retrieval, write_rounds, write_scores,
 };
 use dataset::{
-    BoostingRound, Dropped, GridCell, Keyframe, Label, HeldOut, Pair, Pose2, Retrieval,
-    RetrievalPoint, Scan, ScanId, Scores, StampedPose, Trajectory,
+    BoostingRound, Dropped, FeatureUsefulness, GridCell, HeldOut, Keyframe, Label, Pair, Pose2,
+    Retrieval, RetrievalPoint, Scan, ScanId, Scores, StampedPose, Trajectory,
 };
 
 fn provenance() -> Provenance {
@@ -254,6 +255,20 @@ fn evidence_survives() {
     let cells = vec![cell(Ok(0.125)), cell(Err("3 of 9 positive pairs".into()))];
     write_grid(&at("grid"), &provenance(), &cells).unwrap();
     assert_eq!(read_grid(&at("grid")).unwrap(), (cells, provenance()));
+
+    let names = ["size", "distance"].map(str::to_owned);
+    let stability = vec![0.5, f64::INFINITY];
+    write_feature_stability(&at("stability"), &provenance(), &names, &stability).unwrap();
+    let found = read_feature_stability(&at("stability"), &names).unwrap();
+    assert_eq!(found, (stability, provenance()));
+    let error = read_feature_stability(&at("stability"), &names[..1]).unwrap_err().to_string();
+    assert!(error.contains("found size, distance"), "{error}");
+
+    let usefulness =
+        vec![FeatureUsefulness { name: "size".into(), auc: 0.75, stability: 0.5, chosen: 9 }];
+    write_feature_usefulness(&at("usefulness"), &provenance(), &usefulness).unwrap();
+    let found = read_feature_usefulness(&at("usefulness")).unwrap();
+    assert_eq!(found, (usefulness, provenance()));
 }
 
 #[test]

@@ -27,13 +27,16 @@ mod bootstrap;
 mod figures;
 mod json;
 mod metrics;
+mod options;
 mod report;
 mod retrieval;
 mod tables;
 mod text;
 
 use dataset::tables::FeatureTable;
-use dataset::{BoostingRound, Dropped, FeatureUsefulness, GridCell, Keyframe, Label, Pair, Retrieval, Scores};
+use dataset::{
+    BoostingRound, Dropped, FeatureUsefulness, GridCell, Keyframe, Label, Pair, Retrieval, Scores,
+};
 
 pub use bootstrap::{Estimate, MIN_GROUPS, Summary};
 pub use figures::{Figure, Sketches, figures, path_svg, write_figures};
@@ -41,6 +44,7 @@ pub use json::json;
 pub use metrics::{
     Confusion, Measures, OperatingPoint, PrPoint, operating_points, precision_recall,
 };
+pub use options::Options;
 pub use report::{Fact, report};
 pub use retrieval::{Ranked, rank};
 pub use tables::write_tables;

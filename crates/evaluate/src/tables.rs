@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_array::{ArrayRef, Float64Array, Int8Array, StringArray, UInt32Array, UInt64Array};
-use dataset::{BoostingRound, FeatureUsefulness};
 use dataset::tables::{Provenance, Result, batch, floats, strings, write_table};
+use dataset::{BoostingRound, FeatureUsefulness};
 
 use crate::{Confusion, ErrorRow, Evaluation, Input, Mistake, PrCurve, Summary};
 

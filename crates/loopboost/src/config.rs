@@ -1,6 +1,6 @@
 //! The pipeline file: every parameter of a run, its defaults, and what is wrong with it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
@@ -9,7 +9,6 @@ use label::Grouping;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
-use train::Learner;
 
 use crate::logs::{self, LogFile};
 
@@ -84,131 +83,99 @@ pub(crate) struct IngestSection {
     pub(crate) log: BTreeMap<String, Table>,
 }
 
-/// More rounds than anybody boosts; a slip of the hand would take all memory.
-const MAX_ROUNDS: u32 = 100_000;
-/// As for the rounds.
-const MAX_RESAMPLES: u32 = 100_000;
-
-/// `[evaluate]`
+/// `[evaluate]`: what `train` needs to measure the learners, and what `evaluate` needs for the report.
 #[derive(Debug, Clone, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct EvaluateSection {
-    /// Folds of the cross-validation, at most: a grouping with fewer groups has a fold for each.
+    /// Largest number of folds of the cross-validation. A grouping with fewer groups has one fold
+    /// for each group.
     pub(crate) folds: u32,
-    /// What may not stand on both sides of a fold; each is evaluated.
+    /// What is kept in one fold and never split between training and test. Each grouping is
+    /// evaluated.
     pub(crate) groupings: Vec<Grouping>,
-    /// A grouping that leaves too little to train on ends the run; otherwise it is left out, which
-    /// the run and its report tell.
+    /// Fail if a grouping leaves too few pairs to train on. Otherwise the grouping is left out, and
+    /// the run and its report say so.
     pub(crate) require_groupings: bool,
-    /// Width of the squares of ground that the grouping `place` keeps together \[m\].
+    /// Width of the squares of ground of the grouping `place` \[m\].
     pub(crate) place_m: f64,
-    /// Bootstrap resamples of the groups, for confidence intervals; 0 gives none.
+    /// Bootstrap resamples of the groups for the confidence intervals; 0 gives no intervals.
     pub(crate) resamples: u32,
-    /// Score every pair of keyframes of each log too, at the natural prevalence of positives.
-    pub(crate) every_pair: bool,
-    /// Of these, pairs with less path than this between them are left out \[m\].
-    pub(crate) recent_m: f64,
-    /// More pairs than this are thinned: every second, third, ... keyframe is a query, against all
-    /// keyframes before it. A million pairs take about 25 MB.
+    /// Score all pairs of keyframes of each log too, at the natural prevalence of positives.
+    pub(crate) retrieval: bool,
+    /// For `retrieval`: leave out pairs with less path than this between their scans \[m\].
+    pub(crate) min_separation_m: f64,
+    /// For `retrieval`: largest number of pairs. If there are more, only every second, third, ...
+    /// keyframe is a query, against all keyframes before it. A million pairs take about 25 MB.
     pub(crate) max_pairs: u64,
     /// The error under other label rules.
-    pub(crate) grid: GridSection,
+    pub(crate) grid: experiment::GridOptions,
 }
 
 impl Default for EvaluateSection {
     fn default() -> Self {
+        let experiment::Options {
+            folds,
+            groupings,
+            require_groupings,
+            place_m,
+            retrieval,
+            min_separation_m,
+            max_pairs,
+            grid,
+        } = experiment::Options::default();
+        let evaluate::Options { resamples } = evaluate::Options::default();
         Self {
-            folds: 10,
-            groupings: vec![Grouping::Pair, Grouping::Place],
-            require_groupings: false,
-            place_m: 20.0,
-            resamples: 1000,
-            every_pair: true,
-            recent_m: 30.0,
-            max_pairs: 20_000_000,
-            grid: GridSection::default(),
+            folds,
+            groupings,
+            require_groupings,
+            place_m,
+            resamples,
+            retrieval,
+            min_separation_m,
+            max_pairs,
+            grid,
         }
     }
 }
 
 impl EvaluateSection {
-    fn check(&self) -> Result<()> {
-        if self.folds < 2 {
-            return Err(anyhow!("`evaluate.folds` is {}, expected 2 or more", self.folds));
-        }
-        if self.groupings.iter().collect::<BTreeSet<_>>().len() < self.groupings.len() {
-            return Err(anyhow!("`evaluate.groupings` names a grouping twice"));
-        }
-        if self.groupings.is_empty() {
-            return Err(anyhow!("`evaluate.groupings` is empty, expected at least `pair`"));
-        }
-        let more_than_0 = |value: f64| value.is_finite() && 0.0 < value;
-        if !more_than_0(self.place_m) {
-            return Err(anyhow!("`evaluate.place_m` is {}, expected more than 0", self.place_m));
-        }
-        if !(self.recent_m.is_finite() && 0.0 <= self.recent_m) {
-            return Err(anyhow!("`evaluate.recent_m` is {}, expected 0 or more", self.recent_m));
-        }
-        if self.max_pairs == 0 {
-            return Err(anyhow!("`evaluate.max_pairs` is 0, expected 1 or more"));
-        }
-        if MAX_RESAMPLES < self.resamples {
-            return Err(anyhow!(
-                "`evaluate.resamples` is {}, expected 0 to {MAX_RESAMPLES}",
-                self.resamples
-            ));
-        }
+    /// The options of each stage that uses this section: `train` and `evaluate`.
+    fn split(&self) -> (experiment::Options, evaluate::Options) {
+        // Without `..`: a new key must be given to a stage.
+        let Self {
+            folds,
+            groupings,
+            require_groupings,
+            place_m,
+            resamples,
+            retrieval,
+            min_separation_m,
+            max_pairs,
+            grid,
+        } = self.clone();
+        let experiment = experiment::Options {
+            folds,
+            groupings,
+            require_groupings,
+            place_m,
+            retrieval,
+            min_separation_m,
+            max_pairs,
+            grid,
+        };
+        (experiment, evaluate::Options { resamples })
+    }
+
+    /// What `train` needs. The models depend on these keys and not on the others.
+    pub(crate) fn experiment(&self) -> experiment::Options {
+        self.split().0
+    }
+
+    fn check(&self, label: &label::Options) -> Result<()> {
+        let (experiment, evaluate) = self.split();
+        experiment.check(label)?;
+        evaluate.check()?;
         Ok(())
-    }
-}
-
-/// `[evaluate.grid]`: the error for every combination of three label options. It is off where a
-/// list is empty.
-#[derive(Debug, Clone, JsonSchema, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub(crate) struct GridSection {
-    /// Values of `label.positive_radius_m` \[m\].
-    pub(crate) positive_radius_m: Vec<f64>,
-    /// Values of `label.negative_min_m` \[m\].
-    pub(crate) negative_min_m: Vec<f64>,
-    /// Values of `label.min_travel_gap_m` \[m\]: 0 takes neighbours along the path too, more
-    /// takes true revisits only.
-    pub(crate) min_travel_gap_m: Vec<f64>,
-    /// Which learners.
-    pub(crate) learners: Vec<Learner>,
-    /// What may not stand on both sides of a fold.
-    pub(crate) grouping: Grouping,
-}
-
-impl Default for GridSection {
-    fn default() -> Self {
-        Self {
-            positive_radius_m: Vec::new(),
-            negative_min_m: Vec::new(),
-            min_travel_gap_m: vec![0.0],
-            learners: vec![Learner::GentleStump],
-            grouping: Grouping::Place,
-        }
-    }
-}
-
-impl GridSection {
-    /// The label options of each cell.
-    pub(crate) fn cells(&self, label: &label::Options) -> Vec<label::Options> {
-        let mut cells = Vec::new();
-        for &min_travel_gap_m in &self.min_travel_gap_m {
-            for &negative_min_m in &self.negative_min_m {
-                for &positive_radius_m in &self.positive_radius_m {
-                    cells.push(label::Options {
-                        positive_radius_m,
-                        negative_min_m,
-                        min_travel_gap_m,
-                        ..label.clone()
-                    });
-                }
-            }
-        }
-        cells
     }
 }
 
@@ -229,10 +196,11 @@ impl Config {
     pub(crate) fn load(path: &Path, overrides: &[String]) -> Result<Self> {
         let text = std::fs::read_to_string(path)
             .map_err(|e| usage(format!("cannot read the pipeline file {}: {e}", path.display())))?;
-        // Once as it stands, so that an error shows its line ...
-        toml::from_str::<Self>(&text).map_err(|e| explain(path, &e))?;
-        // ... and once with the overrides.
         let mut table: Table = toml::from_str(&text).map_err(|e| explain(path, &e))?;
+        refuse_renamed(&table, &path.display())?;
+        // The file alone, so that an error shows its line ...
+        toml::from_str::<Self>(&text).map_err(|e| explain(path, &e))?;
+        // ... and with the overrides.
         for text in overrides {
             apply_override(&mut table, text)?;
         }
@@ -301,30 +269,8 @@ impl Config {
         if let Some(simulate) = &self.simulate {
             simulate.check().context("[simulate]")?;
         }
-        for (key, rounds) in
-            [("rounds", self.train.rounds), ("tree_rounds", self.train.tree_rounds)]
-        {
-            if !(1..=MAX_ROUNDS).contains(&rounds) {
-                return Err(anyhow!("`train.{key}` is {rounds}, expected 1 to {MAX_ROUNDS}"));
-            }
-        }
-        if self.train.learners.is_empty() {
-            return Err(anyhow!("`train.learners` is empty, expected at least one learner"));
-        }
-        if self.train.learners.iter().collect::<BTreeSet<_>>().len() < self.train.learners.len() {
-            return Err(anyhow!("`train.learners` names a learner twice"));
-        }
-        self.evaluate.check()?;
-        for cell in self.evaluate.grid.cells(&self.label) {
-            cell.check().map_err(|e| anyhow!("[evaluate.grid], as {e}"))?;
-        }
-        if self.label.pairs_per_class < self.evaluate.folds as usize {
-            return Err(anyhow!(
-                "`evaluate.folds` is {}, expected no more than `label.pairs_per_class`, which is {}",
-                self.evaluate.folds,
-                self.label.pairs_per_class
-            ));
-        }
+        self.train.check()?;
+        self.evaluate.check(&self.label)?;
         for log in self.ingest.log.keys() {
             self.for_log(log)?;
         }
@@ -335,6 +281,26 @@ impl Config {
 /// A file's name without its last extension.
 pub(crate) fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Keys that have a new name, old and new.
+const RENAMED: [(&str, &str); 2] = [
+    ("evaluate.every_pair", "evaluate.retrieval"),
+    ("evaluate.recent_m", "evaluate.min_separation_m"),
+];
+
+/// Refuses a key that has a new name, and states that name.
+fn refuse_renamed(table: &Table, place: &dyn std::fmt::Display) -> Result<()> {
+    let contains = |key: &str| {
+        let (sections, name) = key.rsplit_once('.').unwrap_or(("", key));
+        let mut sections = sections.split_terminator('.');
+        let section = sections.try_fold(table, |table, section| table.get(section)?.as_table());
+        section.is_some_and(|section| section.contains_key(name))
+    };
+    match RENAMED.iter().find(|(old, _)| contains(old)) {
+        Some((old, new)) => Err(usage(format!("{place}: `{old}` was renamed: use `{new}`"))),
+        None => Ok(()),
+    }
 }
 
 /// Lays `a.b.c=value` over a table; the value is TOML, or else a string. A key with dots in it is
@@ -348,6 +314,7 @@ fn apply_override(table: &mut Table, text: &str) -> Result<()> {
             toml::from_str::<Table>(&format!("{key} = {}", Value::String(value.to_owned())))
         })
         .map_err(|e| usage(format!("--set {text}: {}", e.message())))?;
+    refuse_renamed(&parsed, &format_args!("--set {text}"))?;
     merge(table, &parsed);
     Ok(())
 }
@@ -442,7 +409,7 @@ mod tests {
         .unwrap();
         assert!((config.label.positive_radius_m - 2.0).abs() < 1e-12);
         assert_eq!(config.name, "other");
-        assert_eq!(config.train.learners, [Learner::Discrete]);
+        assert_eq!(config.train.learners, [train::Learner::Discrete]);
     }
 
     #[test]
@@ -460,6 +427,29 @@ mod tests {
         );
         let message = error("[ingest.log.a.lidar]\nrange_max = 9.0\n", &[]);
         assert!(message.contains("did you mean `range_max_m`?"), "{message}");
+    }
+
+    #[test]
+    fn a_renamed_key_gives_an_error_with_the_new_name() {
+        let expected = "`evaluate.recent_m` was renamed: use `evaluate.min_separation_m`";
+        let of_file = error("[evaluate]\nrecent_m = 20.0\n", &[]);
+        assert!(of_file.ends_with(&format!("drive.toml: {expected}")), "{of_file}");
+        let of_override = error("", &["evaluate.recent_m=20"]);
+        assert_eq!(of_override, format!("--set evaluate.recent_m=20: {expected}"));
+        assert!(error("evaluate.every_pair = true", &[]).ends_with("use `evaluate.retrieval`"));
+    }
+
+    /// The message must not lead to a key that does not exist.
+    #[test]
+    fn every_new_name_of_a_renamed_key_is_known() {
+        let known = Table::try_from(load("", &[]).unwrap()).unwrap();
+        for (old, new) in RENAMED {
+            let value = new
+                .split('.')
+                .try_fold(&Value::Table(known.clone()), |table, key| table.get(key))
+                .cloned();
+            assert!(value.is_some(), "{old} -> {new}");
+        }
     }
 
     #[test]

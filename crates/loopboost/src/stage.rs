@@ -103,16 +103,16 @@ impl Stage {
             },
             Self::Featurize => Spec {
                 name: "featurize",
-                help: "Compute features: keyframes, scans -> features.parquet",
+                help: "Compute features: keyframes, scans -> features.parquet, ...",
                 inputs: &[A::Keyframes, A::Scans],
-                outputs: &[A::Features],
+                outputs: &[A::Features, A::FeatureStability],
                 options: |config, _| Ok(to_value(&config.featurize)?),
             },
             Self::Train => Spec {
                 name: "train",
                 help: "Train and cross-validate: pairs, features -> models/, scores.parquet, ...",
-                inputs: &[A::Keyframes, A::Pairs, A::Features],
-                outputs: &[A::Scores, A::Rounds, A::Retrieval, A::Grid],
+                inputs: &[A::Keyframes, A::Pairs, A::Features, A::FeatureStability],
+                outputs: &[A::Scores, A::Rounds, A::Retrieval, A::Grid, A::FeatureUsefulness],
                 options: train_options,
             },
             Self::Evaluate => Spec {
@@ -126,6 +126,7 @@ impl Stage {
                     A::Rounds,
                     A::Retrieval,
                     A::Grid,
+                    A::FeatureUsefulness,
                     A::Scans,
                 ],
                 outputs: &[A::Summary, A::Report],
@@ -171,7 +172,7 @@ fn train_options(config: &Config, scope: &Scope<'_>) -> Result<Value> {
     Ok(json!({
         "name": config.name,
         "train": config.train,
-        "evaluate": config.evaluate,
+        "evaluate": config.evaluate.experiment(),
         "label": config.label,
         "featurize": config.featurize,
         "lidars": lidars,
@@ -198,27 +199,31 @@ pub(crate) enum Artifact {
     Keyframes,
     Pairs,
     Features,
+    FeatureStability,
     Scores,
     Rounds,
     Retrieval,
     Grid,
+    FeatureUsefulness,
     /// The numbers of the report as JSON.
     Summary,
     Report,
 }
 
 impl Artifact {
-    const ALL: [Self; 12] = [
+    const ALL: [Self; 14] = [
         Self::Log,
         Self::Scans,
         Self::Poses,
         Self::Keyframes,
         Self::Pairs,
         Self::Features,
+        Self::FeatureStability,
         Self::Scores,
         Self::Rounds,
         Self::Retrieval,
         Self::Grid,
+        Self::FeatureUsefulness,
         Self::Summary,
         Self::Report,
     ];
@@ -232,10 +237,12 @@ impl Artifact {
             Self::Keyframes => "keyframes.parquet",
             Self::Pairs => "pairs.parquet",
             Self::Features => "features.parquet",
+            Self::FeatureStability => "feature_stability.parquet",
             Self::Scores => "scores.parquet",
             Self::Rounds => "rounds.parquet",
             Self::Retrieval => "retrieval.parquet",
             Self::Grid => "grid.parquet",
+            Self::FeatureUsefulness => "feature_usefulness.parquet",
             Self::Summary => "evaluation/summary.json",
             Self::Report => "report.html",
         }

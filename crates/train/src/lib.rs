@@ -1,13 +1,26 @@
-//! `train`: features and labels -> a classifier ([`fit`]), and the same on folds
-//! ([`cross_validate`]).
+//! `train`: features and labels -> a classifier ([`fit`]), also on folds ([`cross_validate`]).
 //!
-//! Every sum over pairs runs in one fixed order, so that results are the same to the bit for any
-//! number of threads; what runs in parallel are features, folds and learners.
+//! The results have the same bits for any number of threads: features, folds and learners run in
+//! parallel, but every sum over pairs has one fixed order.
+//!
+//! ```
+//! use dataset::Label::{Negative, Positive};
+//! use train::Matrix;
+//!
+//! // One feature. The two positive pairs differ less in it than the two negative pairs.
+//! let differences = vec![vec![0.1, 0.3, 2.0, 3.0]];
+//! let data = Matrix::new(differences, vec![Positive, Positive, Negative, Negative]);
+//!
+//! let learner = model::Learner::Discrete;
+//! let rounds = train::fit(learner, 10, &data)?;
+//! let classifier = train::classifier(learner, &rounds);
+//! assert!(0.0 < classifier.confidence(&[0.2]) && classifier.confidence(&[2.5]) < 0.0);
+//! # Ok::<(), train::TrainError>(())
+//! ```
 
 mod baseline;
 mod cross_validate;
 mod discrete;
-mod feature_auc;
 mod gentle;
 mod gentle_line;
 mod gentle_stump;
@@ -16,23 +29,28 @@ mod logit_trees;
 mod matrix;
 mod svm;
 
+use std::collections::BTreeSet;
+
+use dataset::OutOfRange;
 use model::{Classifier, WeakLearner};
 use serde::{Deserialize, Serialize};
 
 pub use cross_validate::{CrossValidated, FoldError, FoldFit, Folded, cross_validate, fit_without};
-pub use feature_auc::feature_auc;
 pub use matrix::Matrix;
+
+/// Largest number of boosting rounds. A larger number is a typing error and would exhaust the memory.
+const MAX_ROUNDS: u32 = 100_000;
 
 /// The section `[train]`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "TrainOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Which learners; each gives a model of its own.
+    /// The learners. Each one is trained and evaluated, and gives its own model.
     pub learners: Vec<Learner>,
-    /// Boosting rounds T.
+    /// Number of boosting rounds T.
     pub rounds: u32,
-    /// Boosting rounds of `logit_trees`, whose steps are short.
+    /// Number of boosting rounds of `logit_trees`, which takes shorter steps.
     pub tree_rounds: u32,
 }
 
@@ -47,28 +65,50 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Boosting rounds of a learner.
+    /// Checks that every value is in range.
+    pub fn check(&self) -> Result<(), OutOfRange> {
+        for (key, rounds) in [("rounds", self.rounds), ("tree_rounds", self.tree_rounds)] {
+            if !(1..=MAX_ROUNDS).contains(&rounds) {
+                let expected = format!("1 to {MAX_ROUNDS}");
+                return Err(OutOfRange::new(format!("train.{key}"), rounds, expected));
+            }
+        }
+        let names: Vec<&str> = self.learners.iter().map(|learner| learner.name()).collect();
+        let fail = |expected| {
+            let list = format!("[{}]", names.join(", "));
+            Err(OutOfRange::new("train.learners", list, expected))
+        };
+        if names.is_empty() {
+            return fail("at least one learner");
+        }
+        if names.iter().collect::<BTreeSet<_>>().len() < names.len() {
+            return fail("each learner once");
+        }
+        Ok(())
+    }
+
+    /// The number of boosting rounds of a learner.
     pub fn rounds_of(&self, learner: Learner) -> u32 {
         if learner == Learner::LogitTrees { self.tree_rounds } else { self.rounds }
     }
 }
 
-/// What can be fitted to labelled pairs.
+/// A method that learns a classifier from labelled pairs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Learner {
     /// Discrete AdaBoost over decision stumps (the paper's Algorithm 1).
     Discrete,
-    /// Gentle AdaBoost over weighted least-squares lines (Algorithm 2 by the paper's words).
+    /// Gentle AdaBoost over weighted least-squares lines (the paper's Algorithm 2).
     GentleLine,
     /// Gentle AdaBoost over regression stumps (Friedman, Hastie and Tibshirani 2000).
     GentleStump,
     /// LogitBoost over small regression trees (Friedman, Hastie and Tibshirani 2000, Algorithm 3).
     LogitTrees,
-    /// Baseline: 5 nearest neighbours. Evaluated, not saved.
+    /// Baseline: 5 nearest neighbours. It is evaluated but not saved.
     Knn,
-    /// Baseline: a linear support vector machine. Evaluated, not saved.
+    /// Baseline: a linear support vector machine. It is evaluated but not saved.
     Svm,
 }
 
@@ -82,7 +122,7 @@ impl Learner {
         }
     }
 
-    /// The boosting learner, whose classifier is saved; none for the baselines.
+    /// The boosting learner, whose classifier can be saved; `None` for a baseline.
     pub fn boosting(self) -> Option<model::Learner> {
         match self {
             Self::Discrete => Some(model::Learner::Discrete),
@@ -94,26 +134,26 @@ impl Learner {
     }
 }
 
-/// Why there is no classifier.
+/// Why a learner cannot be fitted.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum TrainError {
-    /// One class only, or no pair at all.
+    /// A class has no pairs.
     #[error(
-        "training needs pairs of both classes, found {n_positive} positive and {n_negative} negative"
+        "training needs pairs of both classes, found {n_positive} positive and {n_negative} negative pairs"
     )]
     OneClass {
-        /// Positive pairs.
+        /// Number of positive pairs.
         n_positive: usize,
-        /// Negative pairs.
+        /// Number of negative pairs.
         n_negative: usize,
     },
-    /// No feature tells any pair from another.
-    #[error("no feature differs between any two of the {n_pairs} pairs: nothing can be learned")]
+    /// No feature distinguishes any two pairs.
+    #[error("every feature has one value for all {n_pairs} pairs, so nothing can be learned")]
     NothingToLearn {
-        /// Pairs there are.
+        /// Number of pairs.
         n_pairs: usize,
     },
-    /// A value that is no number.
+    /// A value is not a finite number.
     #[error("feature {feature} of pair {row} is {value}, expected a finite number")]
     NotFinite {
         /// Index of the feature.
@@ -123,24 +163,24 @@ pub enum TrainError {
         /// The value.
         value: f64,
     },
-    /// No round asked for.
+    /// The number of rounds is 0.
     #[error("`train.rounds` or `train.tree_rounds` is 0, expected 1 or more")]
     NoRounds,
 }
 
-/// One round as it was fitted.
+/// One fitted round.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Round {
-    /// The weak learner chosen.
+    /// The weak learner that was chosen.
     pub weak: WeakLearner,
-    /// Its error under the round's weights: for `discrete` the weighted share of wrong labels,
-    /// for the gentle learners the weighted mean of the squared residuals, for `logit_trees` the
-    /// same as a share of the squares that there were.
+    /// Its error under the weights of the round. For `discrete`, the weighted share of wrong labels.
+    /// For the gentle learners, the weighted mean of the squared residuals. For `logit_trees`, the
+    /// sum of the squared residuals as a share of the sum of squares before the round.
     pub weighted_error: f64,
 }
 
-/// Fits a learner with up to `n_rounds` rounds; Discrete stops early where no stump is better
-/// than chance.
+/// Fits a learner with up to `n_rounds` rounds. `discrete` stops early if no stump is better than
+/// chance.
 pub fn fit(
     learner: model::Learner,
     n_rounds: u32,
@@ -167,8 +207,8 @@ pub fn classifier(learner: model::Learner, rounds: &[Round]) -> Classifier {
     Classifier { learner, rounds: rounds.iter().map(|round| round.weak).collect() }
 }
 
-/// Two errors closer than this are a tie, decided by the order of features and thresholds.
+/// Two errors that differ by less than this are a tie. The order of features and thresholds decides.
 ///
-/// Errors that are equal on paper differ by rounding, which depends on the order of summation;
-/// weights sum to 1, so that rounding stays below 1e-13 for a million pairs.
+/// Errors that are equal on paper differ by rounding, which depends on the order of summation. The
+/// weights sum to 1, so the rounding stays below 1e-13 for a million pairs.
 const TIE: f64 = 1e-12;

@@ -10,16 +10,16 @@ pub struct Matrix {
 }
 
 impl Matrix {
-    /// From columns, `(n_features, n_pairs)`, and labels, `(n_pairs,)`.
+    /// Takes columns, `(n_features, n_pairs)`, and labels, `(n_pairs,)`.
     ///
     /// # Panics
-    /// If a column's length is not the number of labels.
+    /// If the length of a column differs from the number of labels.
     pub fn new(columns: Vec<Vec<f64>>, labels: Vec<Label>) -> Self {
         assert!(columns.iter().all(|column| column.len() == labels.len()));
         Self { columns, labels }
     }
 
-    /// The rows of the given indices.
+    /// A matrix of the rows with these indices.
     pub fn select(&self, rows: &[usize]) -> Self {
         Self {
             columns: self
@@ -51,7 +51,7 @@ impl Matrix {
         &self.labels
     }
 
-    /// Number of pairs of a label.
+    /// Number of pairs with a label.
     pub fn count(&self, label: Label) -> usize {
         self.labels.iter().filter(|&&l| l == label).count()
     }
@@ -69,12 +69,13 @@ impl Matrix {
         Ok(())
     }
 
-    /// Rows of each feature in ascending order of its values, ties in order of the rows.
-    pub(crate) fn sorted_rows(&self) -> Vec<Vec<u32>> {
+    /// The rows in ascending order of each feature, `(n_features, n_pairs)`; equal values in order of
+    /// the rows.
+    pub fn sorted_rows(&self) -> Vec<Vec<u32>> {
         self.columns
             .iter()
             .map(|column| {
-                // Values beside their rows, so that a comparison does not look them up.
+                // Sort values together with their rows: a comparison then needs no look-up.
                 let mut rows: Vec<(f64, u32)> = column.iter().copied().zip(0..).collect();
                 rows.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
                 rows.into_iter().map(|(_, row)| row).collect()
@@ -83,7 +84,7 @@ impl Matrix {
     }
 }
 
-/// The middle between two neighbouring values of a feature; none where no number lies between.
+/// The midpoint of two neighbouring values of a feature; `None` if no number lies between them.
 pub(crate) fn midpoint(lower: f64, upper: f64) -> Option<f64> {
     let middle = lower + (upper - lower) / 2.0;
     (lower < middle && middle < upper).then_some(middle)

@@ -7,10 +7,12 @@
 //!   keyframes.parquet        one row per scan that was kept
 //!   pairs.parquet            one row per labelled pair
 //!   features.parquet         one row per keyframe
+//!   feature_stability.parquet    one row per feature
 //!   scores.parquet           one row per pair and learner: cross-validated confidences
 //!   rounds.parquet           one row per round of boosting
 //!   retrieval.parquet        one row per learner and log: all pairs at their natural prevalence
 //!   grid.parquet             one row per learner and label rule
+//!   feature_usefulness.parquet   one row per feature
 //!   evaluation/*.parquet     the measures
 //! ```
 //!
@@ -24,6 +26,7 @@ mod nouns;
 mod provenance;
 pub mod scans;
 mod scores;
+mod usefulness;
 
 use std::path::{Path, PathBuf};
 
@@ -39,6 +42,10 @@ pub use nouns::{
 };
 pub use provenance::{FORMAT_VERSION, Provenance};
 pub use scores::{read_rounds, read_scores, write_rounds, write_scores};
+pub use usefulness::{
+    feature_usefulness_batch, read_feature_stability, read_feature_usefulness,
+    write_feature_stability, write_feature_usefulness,
+};
 
 /// What can be wrong with a table.
 ///

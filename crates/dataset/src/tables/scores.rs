@@ -13,7 +13,7 @@ use arrow_schema::{DataType, Field};
 use super::columns::Columns;
 use super::nouns::{batch, strings};
 use super::{Provenance, Result, TableError, read_table, write_table};
-use crate::{BoostingRound, Keyframe, HeldOut, Pair, Scores};
+use crate::{BoostingRound, HeldOut, Keyframe, Pair, Scores};
 
 /// Writes `scores.parquet`: a row for each learner, grouping and pair, the pairs in the order of
 /// `pairs.parquet`.

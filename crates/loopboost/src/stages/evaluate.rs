@@ -1,12 +1,13 @@
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 use dataset::tables::scans::{read_scan_headers, read_scans};
 use dataset::tables::{
-    Provenance, TableError, read_features, read_grid, read_keyframes, read_pairs, read_retrieval,
-    read_rounds, read_scores, write_file,
+    Provenance, TableError, read_feature_usefulness, read_features, read_grid, read_keyframes,
+    read_pairs, read_retrieval, read_rounds, read_scores, write_file,
 };
-use dataset::{Dropped, FeatureUsefulness, Keyframe, Scan};
+use dataset::{Dropped, Keyframe, Scan};
 use evaluate::{Evaluation, Fact, Input, Sketches};
 
 use crate::config::Config;
@@ -33,25 +34,21 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
     let (features, _) = read_features(&run.path_of(Artifact::Features))?;
     let (scores, of_scores) = read_scores(&run.path_of(Artifact::Scores), &pairs)?;
-    let not_evaluated: Vec<String> = of_scores.dropped.iter().map(|(why, _)| why.to_owned()).collect();
+    let not_evaluated: Vec<String> =
+        of_scores.dropped.iter().map(|(reason, _)| reason.to_owned()).collect();
     let (rounds, _) = read_rounds(&run.path_of(Artifact::Rounds))?;
     let (retrieval, _) = read_retrieval(&run.path_of(Artifact::Retrieval))?;
     let (grid, _) = read_grid(&run.path_of(Artifact::Grid))?;
-    let mut dropped = of_keyframes.dropped;
-    let mut facts = Vec::new();
-    for log in run.ingested_logs()? {
-        let (_, of_scans) = read_scan_headers(&run.scans(&log.name))?;
-        dropped.merge(of_scans.dropped);
-        let digests = of_scans.inputs.into_iter();
-        facts.extend(digests.map(|(log, digest)| fact(&format!("BLAKE3 of {log}"), digest)));
-    }
+    let usefulness = run.path_of(Artifact::FeatureUsefulness);
+    let (feature_usefulness, _) = read_feature_usefulness(&usefulness)?;
+    let Logs { dropped, mut facts } = read_logs(run, of_keyframes.dropped)?;
     facts.extend(options(&run.config)?);
 
     let input = Input {
         keyframes: &keyframes,
         pairs: &pairs,
         features: &features,
-        feature_usefulness: &[],
+        feature_usefulness: &feature_usefulness,
         scores: &scores,
         not_evaluated: &not_evaluated,
         rounds: &rounds,
@@ -62,69 +59,35 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         dropped: &dropped,
     };
     let evaluation = evaluate::evaluate(&input);
-    let (sketches, thinned) = look_at_scans(run, &input, &evaluation)?;
-    let feature_rows = feature_rows(run, &input, &thinned);
-    let input = Input { feature_usefulness: &feature_rows, ..input };
-    let figures = evaluate::figures(&input, &evaluation, &sketches);
-    let mut done = Done { said: summary_lines(&input, &evaluation), ..Done::default() };
-    let folder = run.path("evaluation");
-    done.outputs = evaluate::write_tables(&folder, provenance, &input, &evaluation)?;
-    done.outputs.extend(evaluate::write_figures(&folder.join("figures"), &figures)?);
-    let name = &run.config.name;
-    let json = evaluate::json(name, &input, &evaluation);
-    let mut json = serde_json::to_string_pretty(&json)?;
-    json.push('\n');
-    write_file(&run.path_of(Artifact::Summary), json.as_bytes())?;
-    done.outputs.push(run.path_of(Artifact::Summary));
-    let path = run.path_of(Artifact::Report);
-    let drawn = (&sketches, &figures[..]);
-    let html = evaluate::report(name, &input, &evaluation, drawn, &facts, provenance);
-    write_file(&path, html.as_bytes())?;
-    done.said.push("report.html".to_owned());
-    done.outputs.push(path);
-    Ok(done)
+    let mut sketches = Sketches::new(&input, &evaluation);
+    each_scan(run, &keyframes, |k, scan| sketches.add(&input, k, scan))?;
+
+    let outputs = write(run, provenance, &input, &evaluation, &sketches, &facts)?;
+    let mut said = summary_lines(&input, &evaluation);
+    said.push("report.html".to_owned());
+    Ok(Done { outputs, said, ..Done::default() })
 }
 
-/// Scans whose features are computed again, thinned: enough for a median.
-const THINNED_SCANS: usize = 1000;
-
-/// What each feature is worth by itself, how far it moves when scans are thinned, and how often the
-/// rounds of the models chose it.
-fn feature_rows(run: &Run, input: &Input<'_>, scans: &[Scan]) -> Vec<FeatureUsefulness> {
-    let stability = featurize::stability(&run.config.featurize, scans);
-    let auc = train::feature_auc(&super::train::matrix(input.pairs, input.features));
-    let chosen = |name: &String| {
-        input.rounds.iter().filter(|r| r.held_out.is_none() && r.feature == *name).count() as u64
-    };
-    let rows = input.features.names.iter().zip(auc.into_iter().zip(stability));
-    rows.map(|(name, (auc, stability))| FeatureUsefulness {
-        name: name.clone(),
-        auc,
-        stability,
-        chosen: chosen(name),
-    })
-    .collect()
+/// What the tables of the scans say about the logs.
+struct Logs {
+    /// What was left out of the logs, and before.
+    dropped: Dropped,
+    /// Their digests.
+    facts: Vec<Fact>,
 }
 
-/// Hands the scans of all keyframes to the figures that are drawn of scans, and keeps some, evenly.
-fn look_at_scans(
-    run: &Run,
-    input: &Input<'_>,
-    evaluation: &Evaluation,
-) -> Result<(Sketches, Vec<Scan>)> {
-    let mut sketches = Sketches::new(input, evaluation);
-    let every = input.keyframes.len().div_ceil(THINNED_SCANS).max(1);
-    let mut kept = Vec::new();
-    each_scan(run, input.keyframes, |k, scan| {
-        sketches.add(input, k, scan);
-        if k.is_multiple_of(every) {
-            kept.push(scan.clone());
-        }
-    })?;
-    Ok((sketches, kept))
+fn read_logs(run: &Run, mut dropped: Dropped) -> Result<Logs> {
+    let mut facts = Vec::new();
+    for log in run.ingested_logs()? {
+        let (_, of_scans) = read_scan_headers(&run.scans(&log.name))?;
+        dropped.merge(of_scans.dropped);
+        let digests = of_scans.inputs.into_iter();
+        facts.extend(digests.map(|(log, digest)| fact(&format!("BLAKE3 of {log}"), digest)));
+    }
+    Ok(Logs { dropped, facts })
 }
 
-/// Reads the scans of all keyframes.
+/// Reads the scans of all keyframes, log by log.
 fn each_scan(run: &Run, all: &[Keyframe], mut take: impl FnMut(usize, &Scan)) -> Result<()> {
     let mut logs: BTreeMap<&str, Vec<(u32, usize)>> = BTreeMap::new();
     for (k, Keyframe { id, .. }) in all.iter().enumerate() {
@@ -142,6 +105,33 @@ fn each_scan(run: &Run, all: &[Keyframe], mut take: impl FnMut(usize, &Scan)) ->
         })?;
     }
     Ok(())
+}
+
+/// Writes tables, figures, numbers and report; returns their paths.
+fn write(
+    run: &Run,
+    provenance: &Provenance,
+    input: &Input<'_>,
+    evaluation: &Evaluation,
+    sketches: &Sketches,
+    facts: &[Fact],
+) -> Result<Vec<PathBuf>> {
+    let name = &run.config.name;
+    let folder = run.path("evaluation");
+    let mut outputs = evaluate::write_tables(&folder, provenance, input, evaluation)?;
+    let figures = evaluate::figures(input, evaluation, sketches);
+    outputs.extend(evaluate::write_figures(&folder.join("figures"), &figures)?);
+
+    let json = serde_json::to_string_pretty(&evaluate::json(name, input, evaluation))?;
+    write_file(&run.path_of(Artifact::Summary), format!("{json}\n").as_bytes())?;
+    outputs.push(run.path_of(Artifact::Summary));
+
+    let drawn = (sketches, &figures[..]);
+    let html = evaluate::report(name, input, evaluation, drawn, facts, provenance);
+    let path = run.path_of(Artifact::Report);
+    write_file(&path, html.as_bytes())?;
+    outputs.push(path);
+    Ok(outputs)
 }
 
 /// The error of each learner and grouping: after few rounds and after the last one, or the only
@@ -171,6 +161,7 @@ fn summary_lines(input: &Input<'_>, evaluation: &Evaluation) -> Vec<String> {
     evaluation.precision_recall.iter().map(line).collect()
 }
 
+/// All options of the run, for the last section of the report.
 fn options(config: &Config) -> Result<Vec<Fact>> {
     Ok(vec![
         fact("program", format!("loopboost {}", env!("CARGO_PKG_VERSION"))),

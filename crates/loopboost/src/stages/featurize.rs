@@ -1,14 +1,19 @@
 use anyhow::{Context, Result, anyhow};
 use dataset::tables::scans::read_scans;
-use dataset::tables::{FeatureTable, Provenance, read_keyframes, write_features};
-use dataset::{Dropped, Keyframe};
+use dataset::tables::{
+    FeatureTable, Provenance, read_keyframes, write_feature_stability, write_features,
+};
+use dataset::{Dropped, Keyframe, Scan, Unusable};
 use featurize::Featurizer;
 use rayon::prelude::*;
 
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
 
-/// Keyframes -> features.parquet
+/// Number of scans that the stability of the features is measured on; enough for a median.
+const STABILITY_SCANS: usize = 1000;
+
+/// Keyframes -> features.parquet, feature_stability.parquet
 pub(crate) fn run(run: &Run) -> Result<Dropped> {
     run.task(&run.task_of(Stage::Featurize)?, |provenance| featurize(run, &provenance))
 }
@@ -17,33 +22,44 @@ fn featurize(run: &Run, provenance: &Provenance) -> Result<Done> {
     let options = &run.config.featurize;
     let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
     check_one_kind_of_scan(&keyframes)?;
-    let names = options.set.feature_names();
+    let (table, sample) = compute(run, &keyframes)?;
+    let stability = featurize::stability(options, &sample);
+
+    let outputs = [Artifact::Features, Artifact::FeatureStability].map(|table| run.path_of(table));
+    write_features(&outputs[0], provenance, &table)?;
+    write_feature_stability(&outputs[1], provenance, &table.names, &stability)?;
+    let said = format!(
+        "{} features ({}) of {} keyframes",
+        table.names.len(),
+        options.set.name(),
+        keyframes.len()
+    );
+    Ok(Done { outputs: outputs.into(), said: vec![said], ..Done::default() })
+}
+
+/// The features of all keyframes, and an even sample of their scans.
+fn compute(run: &Run, keyframes: &[Keyframe]) -> Result<(FeatureTable, Vec<Scan>)> {
+    let names = run.config.featurize.set.feature_names();
     let mut values = vec![0.0; keyframes.len() * names.len()];
+    let every = keyframes.len().div_ceil(STABILITY_SCANS).max(1);
+    let mut sample = Vec::new();
     let mut first = 0;
     for of_log in keyframes.chunk_by(|a, b| a.id.log == b.id.log) {
         let path = run.scans(&of_log[0].id.log);
-        // Keyframes are in order of time, rows of the table in order of the log.
+        // Keyframes are sorted by time, but scans are read in the order of the log.
         let mut rows: Vec<(u32, usize)> = of_log.iter().map(|k| k.id.scan).zip(first..).collect();
         first += of_log.len();
         rows.sort_unstable();
         let scans: Vec<u32> = rows.iter().map(|&(scan, _)| scan).collect();
         let mut rows = rows.iter();
         read_scans(&path, &scans, |batch| {
-            let features = batch
-                .par_iter()
-                .map_init(
-                    || Featurizer::new(options),
-                    |featurizer, scan| {
-                        let mut features = vec![0.0; names.len()];
-                        featurizer.features(scan, &mut features).map(|()| features)
-                    },
-                )
-                .collect::<Vec<_>>()
-                .into_iter()
-                .collect::<Result<Vec<_>, _>>()
+            let features = features_of(&run.config.featurize, &batch)
                 .with_context(|| format!("{}: a keyframe has no features", path.display()))?;
-            for (features, &(_, row)) in features.iter().zip(&mut rows) {
+            for ((scan, features), &(_, row)) in batch.iter().zip(&features).zip(&mut rows) {
                 values[row * names.len()..][..names.len()].copy_from_slice(features);
+                if row.is_multiple_of(every) {
+                    sample.push(scan.clone());
+                }
             }
             anyhow::Ok(())
         })?;
@@ -53,25 +69,30 @@ fn featurize(run: &Run, provenance: &Provenance) -> Result<Done> {
         ids: keyframes.iter().map(|k| k.id.clone()).collect(),
         values,
     };
-    let path = run.path_of(Artifact::Features);
-    write_features(&path, provenance, &table)?;
-    let said = format!(
-        "{} features ({}) of {} keyframes",
-        names.len(),
-        options.set.name(),
-        keyframes.len()
-    );
-    Ok(Done { outputs: vec![path], said: vec![said], ..Done::default() })
+    Ok((table, sample))
 }
 
-/// Features of a ring and of a part of the circle do not compare.
+/// The features of each scan.
+fn features_of(options: &featurize::Options, scans: &[Scan]) -> Result<Vec<Vec<f64>>, Unusable> {
+    let n_features = options.set.feature_names().len();
+    let compute = |featurizer: &mut Featurizer, scan: &Scan| {
+        let mut features = vec![0.0; n_features];
+        featurizer.features(scan, &mut features).map(|()| features)
+    };
+    let features: Vec<_> =
+        scans.par_iter().map_init(|| Featurizer::new(options), compute).collect();
+    // If several scans fail, report the first one in the log, not the first one in time.
+    features.into_iter().collect()
+}
+
+/// The features of a full circle cannot be compared with those of a part of it.
 fn check_one_kind_of_scan(keyframes: &[Keyframe]) -> Result<()> {
     let is_ring = |k: &&Keyframe| dataset::FULL_RING_DEG <= k.coverage_deg;
     let ring = keyframes.iter().find(is_ring);
     let open = keyframes.iter().find(|k| !is_ring(k));
     match (ring, open) {
         (Some(ring), Some(open)) => Err(anyhow!(
-            "scans of two kinds in one run: log `{}` has full rings ({} deg), log `{}` scans of {} deg; their features do not compare: make a pipeline for each",
+            "the logs have two kinds of scans, whose features cannot be compared: the scans of log `{}` cover {} deg, those of log `{}` cover {} deg; write one pipeline for each kind",
             ring.id.log,
             ring.coverage_deg,
             open.id.log,

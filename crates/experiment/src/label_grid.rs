@@ -1,26 +1,26 @@
-//! The error under other label rules: pairs are drawn anew for each cell and cross-validated.
+//! The error under other label rules: each cell draws new pairs and cross-validates on them.
 
-use anyhow::Result;
 use dataset::tables::FeatureTable;
 use dataset::{GridCell, Keyframe};
 use evaluate::Confusion;
-use label::LabelError;
+use label::{LabelError, assign_folds};
 use rayon::prelude::*;
 use train::FoldError;
 
-use super::{Options, fold_options, folded, matrix};
+use crate::cross_validation::{fold_options, folded};
+use crate::{ExperimentError, Setup, differences};
 
-/// The cells of `[evaluate.grid]`; a cell with too few candidates says so.
-pub(super) fn grid(
-    options: &Options<'_>,
-    seed: u64,
+/// The error of each learner of the grid under each combination of its label rules. A cell with too
+/// few pairs has the reason instead.
+pub fn label_grid(
+    setup: &Setup<'_>,
     keyframes: &[Keyframe],
     features: &FeatureTable,
-) -> Result<Vec<GridCell>> {
-    let grid = &options.evaluate.grid;
+) -> Result<Vec<GridCell>, ExperimentError> {
+    let grid = &setup.options.grid;
     let mut cells = Vec::new();
-    for rules in grid.cells(options.label) {
-        let errors = errors(options, &rules, seed, keyframes, features)?;
+    for rules in grid.label_options(setup.label) {
+        let errors = errors(setup, &rules, keyframes, features)?;
         for (learner, error) in grid.learners.iter().zip(errors) {
             cells.push(GridCell {
                 learner: learner.name().to_owned(),
@@ -35,34 +35,32 @@ pub(super) fn grid(
     Ok(cells)
 }
 
-/// For each learner of the grid, its error on pairs drawn by these rules.
+/// For each learner of the grid its error on pairs drawn by these rules, or why there is none.
 fn errors(
-    options: &Options<'_>,
+    setup: &Setup<'_>,
     rules: &label::Options,
-    seed: u64,
     keyframes: &[Keyframe],
     features: &FeatureTable,
-) -> Result<Vec<Result<f64, String>>> {
-    let grid = &options.evaluate.grid;
-    let none = |reason: String| Ok(vec![Err(reason); grid.learners.len()]);
-    let pairs = match label::label(rules, seed, keyframes) {
+) -> Result<Vec<Result<f64, String>>, ExperimentError> {
+    let grid = &setup.options.grid;
+    let no_error = |reason: String| Ok(vec![Err(reason); grid.learners.len()]);
+    let pairs = match label::label(rules, setup.seed, keyframes) {
         Ok((pairs, _)) => pairs,
         Err(LabelError::TooFew { class, found, wanted, .. }) => {
-            return none(format!("{found} of {wanted} {class} pairs"));
+            return no_error(format!("{found} of {wanted} {class} pairs"));
         }
         Err(error) => return Err(error.into()),
     };
-    let fold_options = fold_options(options.evaluate, grid.grouping, seed);
-    let folds = match label::assign_folds(&fold_options, keyframes, &pairs) {
+    let folds = match assign_folds(&fold_options(setup, grid.grouping), keyframes, &pairs) {
         Ok(folds) => folds,
         Err(LabelError::TooFewGroups { groups, found, .. }) => {
-            return none(format!("{found} {groups}"));
+            return no_error(format!("{found} {groups}"));
         }
         Err(error) => return Err(error.into()),
     };
-    let data = matrix(&pairs, features);
+    let data = differences(&pairs, features);
     let errors = grid.learners.par_iter().map(|&learner| {
-        let n_rounds = options.train.rounds_of(learner);
+        let n_rounds = setup.train.rounds_of(learner);
         match train::cross_validate(learner, n_rounds, &folded(&data, &folds)) {
             Ok(validated) => {
                 let n = n_rounds as usize;
@@ -70,7 +68,7 @@ fn errors(
                 Ok(Ok(Confusion::count(data.labels(), last, 0.0).error()))
             }
             Err(FoldError::OneClass { .. }) => Ok(Err("one class in a fold".to_owned())),
-            Err(error) => Err(error.into()),
+            Err(source) => Err(ExperimentError::Fold { grouping: grid.grouping, source }),
         }
     });
     errors.collect::<Vec<_>>().into_iter().collect()
