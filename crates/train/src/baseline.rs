@@ -1,10 +1,10 @@
-//! The baselines of the paper, on the same folds as the boosted learners: they are evaluated, not
-//! saved.
+//! Normalisation of features, for the baselines. The paper compares its boosted classifiers with
+//! these; they run on the same folds and are evaluated but not saved.
 
 use crate::matrix::Matrix;
 
-/// Mean of each feature, and the factor that makes its deviation 1; the factor of a feature that
-/// is constant is 0.
+/// The mean of each feature, and the factor that scales its standard deviation to 1. The factor of a
+/// constant feature is 0.
 pub(crate) fn scales(training: &Matrix) -> Vec<(f64, f64)> {
     let n = training.n_rows() as f64;
     training
@@ -13,14 +13,14 @@ pub(crate) fn scales(training: &Matrix) -> Vec<(f64, f64)> {
         .map(|column| {
             let mean = column.iter().sum::<f64>() / n;
             let variance = column.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / n;
-            // Rounding leaves a constant c with a deviation of about 1e-16 c.
+            // By rounding, a constant c has a deviation of about 1e-16 c.
             let deviation = variance.sqrt();
             (mean, if deviation <= 1e-12 * mean.abs() { 0.0 } else { 1.0 / deviation })
         })
         .collect()
 }
 
-/// Rows of a matrix, scaled, row-major, `(n, n_features)`.
+/// The scaled rows of a matrix, row-major, `(n, n_features)`.
 pub(crate) fn normalised(matrix: &Matrix, scales: &[(f64, f64)]) -> Vec<f64> {
     (0..matrix.n_rows())
         .flat_map(|row| {

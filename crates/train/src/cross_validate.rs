@@ -1,4 +1,4 @@
-//! Scores of pairs by classifiers that did not see them.
+//! Cross-validation: each pair is scored by a classifier that was not trained on it.
 
 use std::collections::BTreeSet;
 
@@ -8,34 +8,34 @@ use rayon::prelude::*;
 
 use crate::{Learner, Matrix, Round, TrainError, classifier, fit, knn, svm};
 
-/// Labelled pairs and the folds they touch.
+/// Labelled pairs and their folds.
 #[derive(Debug, Clone, Copy)]
 pub struct Folded<'a> {
     /// The pairs.
     pub data: &'a Matrix,
-    /// The two folds that each pair touches, `(n_pairs, 2)`; twice the same for a pair in one.
+    /// The folds of each pair's query and reference, `(n_pairs, 2)`. They can be the same fold.
     pub folds: &'a [[u32; 2]],
-    /// A pseudo-random number for each pair, `(n_pairs,)`: it decides what is left out of the
-    /// larger class.
+    /// A pseudo-random number for each pair, `(n_pairs,)`. It decides which pairs of the larger class
+    /// are left out of a training set.
     pub keys: &'a [u64],
 }
 
-/// What training without the folds of each pair gives.
+/// The result of a cross-validation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CrossValidated {
-    /// A fit for each pair of folds that some pair touches, ascending.
+    /// One fit for each two folds that a pair touches, ascending.
     pub fits: Vec<FoldFit>,
-    /// Confidence of each pair after each round, by the classifier that saw no pair of a fold that
-    /// it touches, `(n_pairs, n_rounds)`; a learner that stopped early keeps its last confidence.
+    /// The confidence of each pair after each round, `(n_pairs, n_rounds)`, by the classifier that
+    /// held out the pair's folds. A learner that stopped early keeps its last confidence.
     pub confidences: Vec<f64>,
 }
 
-/// A classifier that was fitted without two folds.
+/// A classifier fitted with two folds held out.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FoldFit {
-    /// The folds left out, ascending; twice the same where it is one.
+    /// The folds held out, ascending; the same fold twice if only one was held out.
     pub held_out: [u32; 2],
-    /// The rounds; none for a baseline.
+    /// The rounds; empty for a baseline.
     pub rounds: Vec<Round>,
     scorer: Scorer,
 }
@@ -44,33 +44,33 @@ pub struct FoldFit {
 enum Scorer {
     Boosted(Classifier),
     Linear(svm::Linear),
-    /// k-NN is its training pairs.
+    /// k-NN keeps its training pairs.
     Neighbours(Matrix),
 }
 
-/// Why there is no classifier for a fold.
+/// Why a learner cannot be fitted with folds held out.
 #[derive(Debug, PartialEq, thiserror::Error)]
 pub enum FoldError {
-    /// What is left to train on lacks a class.
+    /// The remaining pairs lack a class.
     #[error(
-        "without {}, {n_positive} positive and {n_negative} negative pairs are left to train on, expected both; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or leave the grouping out",
+        "with {} held out, {n_positive} positive and {n_negative} negative pairs are left to train on, expected both classes; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or remove the grouping from `evaluate.groupings`",
         folds(.held_out)
     )]
     OneClass {
-        /// The folds left out.
+        /// The folds held out.
         held_out: [u32; 2],
-        /// Positive pairs left.
+        /// Number of positive pairs left.
         n_positive: usize,
-        /// Negative pairs left.
+        /// Number of negative pairs left.
         n_negative: usize,
     },
-    /// The learner cannot be fitted.
-    #[error("without {}: {error}", folds(.held_out))]
+    /// The learner cannot be fitted to the remaining pairs.
+    #[error("cannot train with {} held out", folds(.held_out))]
     Fit {
-        /// The folds left out.
+        /// The folds held out.
         held_out: [u32; 2],
-        /// Why not.
-        error: TrainError,
+        /// The cause.
+        source: TrainError,
     },
 }
 
@@ -78,8 +78,9 @@ fn folds([a, b]: &[u32; 2]) -> String {
     if a == b { format!("fold {a}") } else { format!("folds {a} and {b}") }
 }
 
-/// The rows that touch neither fold, with as many of either class: of the larger one those of the
-/// smallest keys, since Gentle AdaBoost's weights start equal and would lean to that class.
+/// The rows that touch neither fold, with equal numbers of both classes. Of the larger class, the
+/// rows with the smallest keys are kept. Without this, Gentle AdaBoost would favour the larger class,
+/// since its weights start equal.
 fn training_rows(folded: &Folded<'_>, [a, b]: [u32; 2]) -> Result<Vec<usize>, FoldError> {
     let labels = folded.data.labels();
     let rows_of = |label: Label| -> Vec<usize> {
@@ -104,7 +105,7 @@ fn training_rows(folded: &Folded<'_>, [a, b]: [u32; 2]) -> Result<Vec<usize>, Fo
     Ok(rows)
 }
 
-/// Fits a learner on the pairs that touch neither of two folds.
+/// Fits a learner to the pairs that touch neither of two folds.
 pub fn fit_without(
     learner: Learner,
     n_rounds: u32,
@@ -112,7 +113,7 @@ pub fn fit_without(
     held_out: [u32; 2],
 ) -> Result<FoldFit, FoldError> {
     let training = folded.data.select(&training_rows(folded, held_out)?);
-    let failed = |error| FoldError::Fit { held_out, error };
+    let failed = |source| FoldError::Fit { held_out, source };
     if let Some(boosting) = learner.boosting() {
         let rounds = fit(boosting, n_rounds, &training).map_err(failed)?;
         let scorer = Scorer::Boosted(classifier(boosting, &rounds));
@@ -127,8 +128,8 @@ pub fn fit_without(
 }
 
 impl FoldFit {
-    /// The confidence of one pair by its feature differences, `(n_features,)`, after the last
-    /// round; none for k-NN, which would compare it with every training pair.
+    /// The confidence of a pair with these feature differences, `(n_features,)`, after the last
+    /// round. `None` for k-NN, which would compare the pair with every training pair.
     #[inline]
     pub fn confidence(&self, difference: &[f64]) -> Option<f64> {
         match &self.scorer {
@@ -138,10 +139,10 @@ impl FoldFit {
         }
     }
 
-    /// Confidences of the given rows after each round, `(n_rows, n_rounds)`.
+    /// The confidences of the given rows after each round, `(n_rows, n_rounds)`.
     fn staged(&self, data: &Matrix, rows: &[usize], n_rounds: usize) -> Vec<f64> {
         let mut staged = Vec::with_capacity(rows.len() * n_rounds);
-        // A baseline has no rounds: its confidence is the same after each.
+        // A baseline has no rounds: its confidence is repeated for each of them.
         let mut repeat = |confidence: f64| staged.extend(std::iter::repeat_n(confidence, n_rounds));
         let difference =
             |row: usize| -> Vec<f64> { data.columns().iter().map(|column| column[row]).collect() };
@@ -165,8 +166,8 @@ impl FoldFit {
     }
 }
 
-/// Fits a learner once without each pair of folds that some pair touches, and scores these pairs
-/// with it: each pair exactly once.
+/// Fits a learner for each two folds that a pair touches, with these folds held out, and scores
+/// their pairs with it. Each pair is scored exactly once.
 pub fn cross_validate(
     learner: Learner,
     n_rounds: u32,
@@ -186,7 +187,7 @@ pub fn cross_validate(
             Ok((fit, rows, staged))
         })
         .collect::<Vec<Result<_, FoldError>>>()
-        // Of several errors the first folds', whichever came first in time.
+        // If several fits fail, report the first one in order of the folds, not the first one in time.
         .into_iter()
         .collect::<Result<Vec<_>, FoldError>>()?;
     let mut confidences = vec![0.0; folded.folds.len() * n];
@@ -206,10 +207,10 @@ mod tests {
 
     use dataset::Label::{Negative, Positive};
 
-    /// Pair 0 is an outlier of its own fold: the classifier that scores it learned from the other
-    /// fold alone, where positives lie below 5.
+    /// Pair 0 is an outlier in its own fold. The classifier that scores it is trained on the other
+    /// fold only, where positives are below 5.
     #[test]
-    fn a_pair_is_scored_by_a_classifier_that_did_not_see_it() {
+    fn a_pair_is_scored_by_a_classifier_that_was_not_trained_on_it() {
         let data = Matrix::new(
             vec![vec![9.0, 8.0, 1.0, 10.0]],
             vec![Positive, Negative, Positive, Negative],
@@ -218,18 +219,19 @@ mod tests {
         let folded = Folded { data: &data, folds: &folds, keys: &[0; 4] };
         let result = cross_validate(Learner::Discrete, 2, &folded).unwrap();
         assert_eq!(result.confidences.len(), 8);
-        // Without fold 0: threshold 5.5, 9 and 8 lie above: negative, both.
+        // Fold 0 held out: threshold 5.5. 9 and 8 are above it, so both are negative.
         assert!(result.confidences[0] < 0.0 && result.confidences[2] < 0.0);
-        // Without fold 1: threshold 8.5, positive above: 1 is negative, 10 positive.
+        // Fold 1 held out: threshold 8.5, positive above. 1 is negative, 10 is positive.
         assert!(result.confidences[4] < 0.0 && result.confidences[6] > 0.0);
         let held_out: Vec<_> = result.fits.iter().map(|fit| fit.held_out).collect();
         assert_eq!(held_out, [[0, 0], [1, 1]]);
     }
 
-    /// A pair between folds 0 and 1 is scored by what was learned in fold 2 alone, though there are
-    /// pairs in fold 0, in 1 and between 2 and either; its order does not matter.
+    /// A pair between folds 0 and 1 is scored by a classifier trained on fold 2 only, although there
+    /// are pairs in fold 0, in fold 1, and between each of them and fold 2. The order of the pair's
+    /// folds does not matter.
     #[test]
-    fn a_pair_between_two_folds_is_scored_without_both() {
+    fn a_pair_between_two_folds_is_scored_with_both_held_out() {
         let data = Matrix::new(
             vec![vec![3.0, 4.0, 1.0, 9.0, 2.0, 3.0, 2.0, 3.0, 1.0, 9.0]],
             [Positive, Negative]
@@ -243,7 +245,7 @@ mod tests {
             [[0, 1], [1, 0], [2, 2], [2, 2], [0, 0], [0, 0], [1, 1], [1, 1], [0, 2], [2, 1]];
         let folded = Folded { data: &data, folds: &folds, keys: &[0; 10] };
         let fit = fit_without(Learner::Discrete, 1, &folded, [0, 1]).unwrap();
-        // Threshold 5 between 1 (+) and 9 (-): 3 and 4 lie below.
+        // The threshold 5 is between 1 (+) and 9 (-). 3 and 4 are below it.
         assert_eq!(fit.rounds[0].weak.splits().next().unwrap().threshold, Some(5.0));
         let result = cross_validate(Learner::Discrete, 1, &folded).unwrap();
         assert_eq!(result.fits[1], fit);
@@ -253,9 +255,9 @@ mod tests {
         assert_eq!(held_out, [[0, 0], [0, 1], [0, 2], [1, 1], [1, 2], [2, 2]]);
     }
 
-    /// Three negatives and one positive are left: the negative of the smallest key stays.
+    /// Of the larger class, the pairs with the smallest keys are kept.
     #[test]
-    fn the_larger_class_is_cut_to_the_smaller_one() {
+    fn training_pairs_have_equal_numbers_of_both_classes() {
         let data = Matrix::new(
             vec![vec![0.0; 6]],
             vec![Positive, Negative, Negative, Positive, Negative, Positive],
@@ -264,19 +266,21 @@ mod tests {
         let folded = Folded { data: &data, folds: &folds, keys: &[1, 9, 3, 8, 5, 2] };
         assert_eq!(training_rows(&folded, [0, 0]), Ok(vec![2, 3]));
         assert_eq!(training_rows(&folded, [0, 2]), Ok(vec![1, 3]));
-        let error = training_rows(&folded, [1, 1]).map(|rows| rows.len());
-        assert_eq!(error, Ok(2), "pairs 0 or 5, by their keys, and 4");
+        // Pair 0 has a smaller key than pair 5.
         assert_eq!(training_rows(&folded, [1, 1]), Ok(vec![0, 4]));
     }
 
     #[test]
-    fn folds_that_leave_one_class_are_an_error() {
+    fn training_on_one_class_is_an_error() {
         let data = Matrix::new(vec![vec![1.0, 2.0, 3.0]], vec![Positive, Negative, Positive]);
         let folds = [[0, 0], [1, 1], [2, 2]];
         let folded = Folded { data: &data, folds: &folds, keys: &[0; 3] };
         let error = cross_validate(Learner::Discrete, 1, &folded).unwrap_err();
         assert_eq!(error, FoldError::OneClass { held_out: [1, 1], n_positive: 2, n_negative: 0 });
         let text = error.to_string();
-        assert!(text.starts_with("without fold 1, 2 positive and 0 negative pairs"), "{text}");
+        assert!(
+            text.starts_with("with fold 1 held out, 2 positive and 0 negative pairs"),
+            "{text}"
+        );
     }
 }

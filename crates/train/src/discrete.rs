@@ -18,7 +18,8 @@ use rayon::prelude::*;
 use crate::matrix::{Matrix, midpoint};
 use crate::{Round, TIE};
 
-/// An error of 0 is taken for this, which makes alpha = 23; the algorithm leaves it infinite.
+/// Smallest error: an error of 0 is replaced by this value, which gives alpha = 23. The algorithm in
+/// the paper would give an infinite alpha.
 const MIN_ERROR: f64 = 1e-10;
 
 #[derive(Clone, Copy)]
@@ -83,21 +84,22 @@ pub(crate) fn fit(n_rounds: u32, data: &Matrix) -> Vec<Round> {
     rounds
 }
 
-/// A feature's pairs in ascending order of its values, with weights of their own in that order: a
-/// search runs through memory, and what it has to look up by pair is one bit.
+/// The pairs in ascending order of one feature, with a copy of the weights in that order. A search
+/// then reads memory in order; per pair it looks up one bit only.
 struct Feature {
-    /// Row of each pair; [`LAST`] is set where the next value is another.
+    /// The row of each pair. [`LAST`] is set if the next pair has another value.
     rows: Vec<u32>,
-    /// Weight of each pair, negative for negative pairs; the same bits as by row.
+    /// The weight of each pair, negative for negative pairs. The bits are those of the weights by
+    /// row.
     weights: Vec<f64>,
 }
 
-/// Marks the last of equal values.
+/// Marks the last of several equal values.
 const LAST: u32 = 1 << 31;
 
 impl Feature {
     fn new(sorted: &[u32], column: &[f64], weights: &[f64]) -> Self {
-        assert!(sorted.len() < LAST as usize, "more pairs than a row number holds");
+        assert!(sorted.len() < LAST as usize, "a row number has 31 bits");
         let mut rows = sorted.to_vec();
         for (k, pair) in sorted.windows(2).enumerate() {
             if !column[pair[0] as usize].total_cmp(&column[pair[1] as usize]).is_eq() {
@@ -107,8 +109,8 @@ impl Feature {
         Self { rows, weights: sorted.iter().map(|&row| weights[row as usize]).collect() }
     }
 
-    /// What is done to the weights by row, in the same steps: times beta where the last stump was
-    /// right, then divided by the sum.
+    /// Updates the weights in the same steps as the weights by row: multiplied by beta if the last
+    /// stump was right, then divided by the sum.
     fn reweigh(&mut self, right: &[u64], beta: f64, sum: f64) {
         let factors = [1.0, beta];
         for (w, row) in self.weights.iter_mut().zip(&self.rows) {
@@ -118,11 +120,12 @@ impl Feature {
         }
     }
 
-    /// Tries every midpoint between neighbouring values; of equal errors the lowest threshold
-    /// stays, and of the two polarities +1. None where all values are equal.
+    /// Tries every midpoint between neighbouring values. If errors are equal, the lowest threshold
+    /// is chosen, then polarity +1. `None` if all values are equal.
     ///
-    /// With S the sum of signed weights below a threshold, "positive below" is wrong for negatives
-    /// below and positives above, all positives - S; "positive above" for all negatives + S.
+    /// Let S be the sum of the signed weights below a threshold. A stump that calls pairs below it
+    /// positive is wrong for negatives below and positives above: its error is (all positives) - S.
+    /// The opposite stump has the error (all negatives) + S.
     fn best_stump(&self, column: &[f64], totals: (f64, f64)) -> Option<Stump> {
         let (all_positive, all_negative) = totals;
         let mut sum_below = 0.0;
@@ -147,7 +150,7 @@ impl Feature {
     }
 }
 
-/// The stump of the least error; of equal ones the first feature's.
+/// The stump with the least error; if errors are equal, that of the first feature.
 fn best(stumps: &[Option<Stump>]) -> Option<(usize, Stump)> {
     let mut best: Option<(usize, Stump)> = None;
     for (feature, stump) in stumps.iter().enumerate() {
@@ -170,22 +173,22 @@ mod tests {
             WeakLearner::Vote { feature, threshold, polarity, alpha } => {
                 (feature, threshold, polarity, alpha)
             }
-            _ => panic!("discrete gives votes"),
+            _ => panic!("expected a vote"),
         }
     }
 
-    /// On paper: x = 1 (+), 2 (-), 3 (+), 4 (-), each of weight 1/4.
+    /// x = 1 (+), 2 (-), 3 (+), 4 (-), each with weight 1/4.
     ///
-    /// theta 1.5, p = +1: 3 is wrong, eps = 1/4. theta 2.5: 2 and 3 wrong, 1/2.
-    /// theta 3.5, p = +1: 2 is wrong, 1/4. The lower threshold of the two stays: theta = 1.5,
-    /// beta = 1/3, alpha = ln 3. The weights become 1/12, 1/12, 1/4, 1/12 of sum 1/2, that is
-    /// 1/6, 1/6, 1/2, 1/6.
-    /// Round 2: theta 1.5: 1/2. theta 2.5, p = -1 (positive above): 1 and 4 wrong, 1/3.
-    /// theta 3.5, p = +1: 2 wrong, 1/6: chosen, beta = 1/5, alpha = ln 5.
-    /// Together: 1: ln 3 + ln 5; 2: -ln 3 + ln 5 (wrong); 3 likewise (right);
-    /// 4: -ln 3 - ln 5. Without the third round 2 stays wrong.
+    /// Round 1. theta 1.5, p = +1: 3 is wrong, eps = 1/4. theta 2.5: 2 and 3 are wrong, 1/2.
+    /// theta 3.5, p = +1: 2 is wrong, 1/4. The lower of the two thresholds is chosen: theta = 1.5,
+    /// beta = 1/3, alpha = ln 3. The weights become 1/12, 1/12, 1/4, 1/12. Their sum is 1/2, so
+    /// they are normalised to 1/6, 1/6, 1/2, 1/6.
+    /// Round 2. theta 1.5: 1/2. theta 2.5, p = -1 (positive above): 1 and 4 are wrong, 1/3.
+    /// theta 3.5, p = +1: 2 is wrong, 1/6. This one is chosen: beta = 1/5, alpha = ln 5.
+    /// The confidences: 1: ln 3 + ln 5; 2: -ln 3 + ln 5 (wrong); 3: the same (right);
+    /// 4: -ln 3 - ln 5. A third round would be needed for 2.
     #[test]
-    fn four_points_that_alternate() {
+    fn four_alternating_points_give_the_rounds_worked_out_by_hand() {
         let data = Matrix::new(
             vec![vec![1.0, 2.0, 3.0, 4.0]],
             vec![Positive, Negative, Positive, Negative],
@@ -210,11 +213,11 @@ mod tests {
         }
     }
 
-    /// Unequal classes start with equal halves: 1/2 for the one positive, 1/6 for each negative.
+    /// Each class starts with half of the weight: 1/2 for the one positive, 1/6 for each negative.
     /// x = 1 (-), 2 (+), 3 (-), 4 (-). theta 1.5, p = +1: 1/6 + 1/2; p = -1 (positive above):
-    /// 3 and 4 are wrong, 1/3. theta 2.5, p = +1: 1 wrong, 1/6. theta 3.5, p = +1: 1/3.
+    /// 3 and 4 are wrong, 1/3. theta 2.5, p = +1: 1 is wrong, 1/6. theta 3.5, p = +1: 1/3.
     #[test]
-    fn one_positive_weighs_as_much_as_three_negatives() {
+    fn one_positive_has_the_weight_of_three_negatives() {
         let data = Matrix::new(
             vec![vec![1.0, 2.0, 3.0, 4.0]],
             vec![Negative, Positive, Negative, Negative],
@@ -224,34 +227,39 @@ mod tests {
         assert_eq!(vote(&rounds[0]).1, 2.5);
     }
 
-    /// Two features that split equally well: the first stays. Polarity -1 where positives are above.
+    /// Two features split equally well: the first one is chosen. The polarity is -1 because the
+    /// positives are above.
     #[test]
-    fn ties_go_to_the_first_feature_and_polarity_follows_the_data() {
+    fn a_tie_goes_to_the_first_feature_and_the_polarity_follows_the_data() {
         let column = vec![1.0, 2.0, 3.0, 4.0];
         let labels = vec![Negative, Negative, Positive, Positive];
         let data = Matrix::new(vec![vec![7.0; 4], column.clone(), column], labels);
         let rounds = fit(3, &data);
         let (feature, threshold, polarity, alpha) = vote(&rounds[0]);
         assert_eq!((feature, threshold, polarity), (1, 2.5, -1.0));
-        // eps = 0 is taken for 1e-10.
+        // An eps of 0 is replaced by 1e-10.
         assert!((alpha - ((1.0 - 1e-10) / 1e-10f64).ln()).abs() < 1e-9);
         assert_eq!(rounds[0].weighted_error, 0.0);
-        assert_eq!(vote(&rounds[1]).0, 1, "all right: the weights, and so the choice, stay");
+        assert_eq!(
+            vote(&rounds[1]).0,
+            1,
+            "no pair is wrong, so the weights and the choice stay the same"
+        );
     }
 
-    /// Equal values of both classes: no stump is better than chance.
+    /// Both classes have the same values, so no stump is better than chance.
     #[test]
-    fn it_stops_where_nothing_is_better_than_chance() {
+    fn training_stops_when_no_stump_is_better_than_chance() {
         let labels = vec![Positive, Negative, Positive, Negative];
         assert!(fit(5, &Matrix::new(vec![vec![1.0, 1.0, 2.0, 2.0]], labels.clone())).is_empty());
         assert!(fit(5, &Matrix::new(vec![vec![1.0; 4]], labels)).is_empty(), "a constant");
     }
 
-    /// Where alpha1 > alpha2, two rounds label as the first one does.
+    /// If alpha1 > alpha2, two rounds give the same labels as the first one.
     #[test]
-    fn two_rounds_label_as_one_where_the_first_vote_weighs_more() {
+    fn two_rounds_give_the_labels_of_the_first_if_its_alpha_is_larger() {
         // x = 1 to 8, + + + - - - - +. Round 1: theta 3.5, 8 is wrong, eps = 1/8, alpha = ln 7.
-        // Round 2: 8 weighs 1/2, the others 1/14; theta 7.5, positive above, is wrong for 1, 2
+        // Round 2: 8 has weight 1/2, the others 1/14. theta 7.5, positive above, is wrong for 1, 2
         // and 3: eps = 3/14, alpha = ln(11/3).
         let labels = [[Positive; 3].as_slice(), &[Negative; 4], &[Positive]].concat();
         let columns = vec![(1..=8).map(f64::from).collect()];

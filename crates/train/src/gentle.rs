@@ -15,17 +15,17 @@ use rayon::prelude::*;
 use crate::matrix::Matrix;
 use crate::{Round, TIE};
 
-/// A least-squares fit of the labels to one feature.
+/// Fits a weak learner to one feature by least squares.
 pub(crate) trait WeakFit {
-    /// Fits `y` to `column` under weights that sum to 1; `rows` are in ascending order of the
-    /// column. Returns the weak learner and how much it explains: the weighted sum of squares of
-    /// `y` about 0 that it takes away.
+    /// Fits `y` to `column` under weights that sum to 1. `rows` are in ascending order of the
+    /// column.
     fn fit(feature: usize, column: &[f64], rows: &[u32], y: &[f64], weights: &[f64]) -> Fit;
 }
 
 #[derive(Clone, Copy)]
 pub(crate) struct Fit {
     pub(crate) weak: WeakLearner,
+    /// By how much the fit reduces the weighted sum of squares of `y` about 0.
     pub(crate) explained: f64,
 }
 
@@ -39,8 +39,8 @@ pub(crate) fn fit<W: WeakFit>(n_rounds: u32, data: &Matrix) -> Vec<Round> {
         return Vec::new();
     }
     let y: Vec<f64> = data.labels().iter().map(|label| label.target()).collect();
-    // Weights from margins: w_i is exp(-y_i F(x_i)) up to a factor, taken against the least
-    // margin, so that no exponential overflows however far off a line may lie.
+    // The weight w_i is proportional to exp(-y_i F(x_i)). Subtracting the least margin keeps the
+    // exponentials from overflowing, even for lines with very large values.
     let mut margins = vec![0.0; y.len()];
     let mut weights = vec![0.0; y.len()];
     let mut rounds = Vec::with_capacity(n_rounds as usize);

@@ -1,5 +1,5 @@
-//! The weak learner of `gentle_stump`: a regression stump, the weighted mean of the labels on
-//! either side of a threshold, as Friedman, Hastie and Tibshirani use it.
+//! The weak learner of `gentle_stump`: a regression stump. Its value on each side of a threshold is
+//! the weighted mean of the labels there (Friedman, Hastie and Tibshirani 2000).
 
 use model::WeakLearner;
 
@@ -10,15 +10,15 @@ use crate::matrix::midpoint;
 pub(crate) struct Stump;
 
 impl WeakFit for Stump {
-    /// A side of weight W and weighted label sum S has mean S / W and takes away S^2 / W of the
-    /// squares. Of equal splits the lowest threshold stays.
+    /// A side with weight W and weighted label sum S has the mean S / W and reduces the sum of
+    /// squares by S^2 / W. If splits are equally good, the lowest threshold is chosen.
     fn fit(feature: usize, column: &[f64], rows: &[u32], y: &[f64], weights: &[f64]) -> Fit {
         let (mut weight, mut sum) = (0.0, 0.0);
         for (w, y) in weights.iter().zip(y) {
             weight += w;
             sum += w * y;
         }
-        // No split: one mean for all.
+        // Without a split there is one mean for all pairs.
         let mean = sum / weight;
         let no_split = WeakLearner::Step { feature, threshold: 0.0, below: mean, above: mean };
         let mut best = Fit { weak: no_split, explained: sum * mean };
@@ -32,14 +32,14 @@ impl WeakFit for Stump {
             }
             let (weight_above, sum_above) = (weight - weight_below, sum - sum_below);
             if weight_below <= 0.0 || weight_above <= 0.0 {
-                continue; // all weight on one side: no mean on the other
+                continue; // all weight is on one side, so the other side has no mean
             }
             let (below, above) = (sum_below / weight_below, sum_above / weight_above);
             let explained = sum_below * below + sum_above * above;
             if best.explained + TIE < explained
                 && let Some(threshold) = midpoint(column[row], column[next])
             {
-                // Labels are +-1; rounding in the differences above must not leave that range.
+                // Labels are +-1. Rounding in the differences above must not exceed that range.
                 let (below, above) = (below.clamp(-1.0, 1.0), above.clamp(-1.0, 1.0));
                 best =
                     Fit { weak: WeakLearner::Step { feature, threshold, below, above }, explained };
@@ -60,17 +60,17 @@ mod tests {
             WeakLearner::Step { feature, threshold, below, above } => {
                 (feature, threshold, below, above)
             }
-            _ => panic!("gentle_stump gives steps"),
+            _ => panic!("expected a step"),
         }
     }
 
-    /// On paper: x = 1 (+), 2 (-), 3 (+), 4 (-), 5 (-), weights 1/5.
-    /// theta 1.5: below 1, above (-1 + 1 - 1 - 1) / 4 = -1/2: takes 1/5 + 4/5 / 4 = 2/5.
+    /// x = 1 (+), 2 (-), 3 (+), 4 (-), 5 (-), weights 1/5.
+    /// theta 1.5: below 1, above (-1 + 1 - 1 - 1) / 4 = -1/2: explains 1/5 + 4/5 / 4 = 2/5.
     /// theta 2.5: below 0, above -1/3: 1/15. theta 3.5: below 1/3, above -1: 1/15 + 2/5 = 7/15.
     /// theta 4.5: below 0, above -1: 1/5. So theta = 3.5, residual 8/15.
     /// Round 2: weights e^-1/3 for 1 and 3, e^1/3 for 2, e^-1 for 4 and 5.
     #[test]
-    fn five_points_by_hand() {
+    fn five_points_give_the_stumps_worked_out_by_hand() {
         let data = Matrix::new(
             vec![vec![1.0, 2.0, 3.0, 4.0, 5.0]],
             vec![Positive, Negative, Positive, Negative, Negative],
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_features_teach_nothing() {
+    fn constant_features_give_no_rounds() {
         let data = Matrix::new(vec![vec![3.0; 2]; 2], vec![Positive, Negative]);
         assert!(crate::gentle::fit::<super::Stump>(5, &data).is_empty());
     }

@@ -1,15 +1,16 @@
-//! k nearest neighbours, k = 5: Euclidean distance over features normalised on the training fold.
+//! k nearest neighbours with k = 5. The distance is Euclidean, over features normalised on the
+//! training fold.
 //!
 //! The confidence is the mean of the neighbours' labels, -1 to 1. Every pair is compared with every
-//! training pair: fit for thousands of pairs, not for millions.
+//! training pair, so this learner suits thousands of pairs, not millions.
 
 use crate::baseline::{normalised, scales};
 use crate::matrix::Matrix;
 
-/// Neighbours that vote; odd, so that there is no tie (the paper's k).
+/// Number of neighbours (the paper's k). It is odd, so the vote cannot be a tie.
 const K: usize = 5;
 
-/// Confidences of the test rows, `(n_test,)`.
+/// The confidences of the test rows, `(n_test,)`.
 pub(crate) fn confidences(training: &Matrix, test: &Matrix) -> Vec<f64> {
     let n_features = training.columns().len();
     let scales = scales(training);
@@ -23,7 +24,7 @@ pub(crate) fn confidences(training: &Matrix, test: &Matrix) -> Vec<f64> {
                 .map(|y| x.iter().zip(y).map(|(a, b)| (a - b) * (a - b)).sum())
                 .zip(0..)
                 .collect();
-            // Of equal distances the earlier row is nearer.
+            // If two distances are equal, the earlier row counts as nearer.
             neighbours
                 .select_nth_unstable_by(k - 1, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
             let votes: f64 =
@@ -38,9 +39,9 @@ mod tests {
     use super::*;
     use dataset::Label::{Negative, Positive};
 
-    /// Positives at 0 to 3, negatives at 10 to 13, and a second feature that is constant: at 2 the
-    /// five nearest are the four positives and the negative at 10; at 11, all four negatives and
-    /// the positive at 3.
+    /// Positives at 0 to 3 and negatives at 10 to 13; the second feature is constant. The five
+    /// nearest to 2 are the four positives and the negative at 10. The five nearest to 11 are the
+    /// four negatives and the positive at 3.
     #[test]
     fn the_five_nearest_vote() {
         let x: Vec<f64> = [0, 1, 2, 3, 10, 11, 12, 13].map(f64::from).into();

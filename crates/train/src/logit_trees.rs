@@ -1,7 +1,7 @@
 //! LogitBoost over small regression trees (Friedman, Hastie and Tibshirani 2000, "Additive logistic
 //! regression: a statistical view of boosting", Algorithm 3), with short steps (Friedman 2001,
-//! "Greedy function approximation: a gradient boosting machine") and its gains and leaves in the
-//! form of Chen and Guestrin 2016, "XGBoost: a scalable tree boosting system", equations 5 to 7.
+//! "Greedy function approximation: a gradient boosting machine"). Gains and leaves are computed as in
+//! Chen and Guestrin 2016, "XGBoost: a scalable tree boosting system", equations 5 to 7.
 //!
 //! ```text
 //! v_i = 1 / (2 Np) for positive, 1 / (2 Nn) for negative pairs, times N;  F_i = 0
@@ -9,13 +9,14 @@
 //!     p_i = 1 / (1 + exp(-F_i));  g_i = v_i (y*_i - p_i), y* = 1 or 0;  h_i = v_i p_i (1 - p_i)
 //!     a tree, level by level: at each node the feature and threshold of the greatest gain
 //!         Gl^2 / (Hl + LAMBDA) + Gr^2 / (Hr + LAMBDA) - G^2 / (H + LAMBDA)
-//!         with MIN_LEAF pairs or more on either side; no split where no gain exceeds 0
+//!         with MIN_LEAF pairs or more on each side; no split if no gain exceeds 0
 //!     leaf = SHRINKAGE G / (H + LAMBDA);  F_i += the leaf of i
-//! confidence(x) = sum of the leaves, ln(p / (1 - p)): the logarithm of the odds
+//! confidence(x) = sum of the leaves = ln(p / (1 - p)), the logarithm of the odds
 //! ```
 //!
-//! Thresholds are tried between [`MAX_BINS`] bins of each feature, which hold about equally many
-//! pairs; up to as many distinct values all are tried. Cost is linear in pairs.
+//! The values of each feature are put into [`MAX_BINS`] bins with about equal numbers of pairs, and
+//! thresholds are tried between the bins. If a feature has at most that many distinct values, every
+//! threshold is tried. The cost is linear in the number of pairs.
 
 use dataset::Label;
 use model::{Node, Tree, WeakLearner};
@@ -24,26 +25,26 @@ use rayon::prelude::*;
 use crate::matrix::{Matrix, midpoint};
 use crate::{Round, TIE};
 
-/// Levels of splits: three features that have to agree.
+/// Number of levels of splits: up to three features decide together.
 const DEPTH: usize = 3;
-/// Share of a Newton step that is taken.
+/// The step taken, as a share of a Newton step.
 const SHRINKAGE: f64 = 0.1;
-/// Pairs that a leaf needs.
+/// Least number of pairs in a leaf.
 const MIN_LEAF: u32 = 20;
-/// Regularises leaves, in units of h (a pair at p = 1/2 has 1/4).
+/// Regularisation of the leaves, in units of h (a pair with p = 1/2 has h = 1/4).
 const LAMBDA: f64 = 1.0;
-/// Bins of a feature.
+/// Largest number of bins of a feature.
 const MAX_BINS: usize = 256;
 
-/// A feature's values by bin.
+/// The values of a feature, as bins.
 struct Binned {
-    /// Bin of each pair, `(n_pairs,)`.
+    /// The bin of each pair, `(n_pairs,)`.
     bins: Vec<u8>,
-    /// Threshold between a bin and the next, `(n_bins - 1,)`.
+    /// The threshold between each bin and the next, `(n_bins - 1,)`.
     thresholds: Vec<f64>,
 }
 
-/// Gradient, second derivative and number of the pairs of a bin or a side.
+/// Sums over the pairs of a bin or a side: gradient, second derivative and number.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sums {
     g: f64,
@@ -72,7 +73,7 @@ impl Sums {
 struct Best {
     gain: f64,
     feature: usize,
-    /// The last bin that goes left.
+    /// The last bin on the left side.
     bin: usize,
 }
 
@@ -91,7 +92,7 @@ pub(crate) fn fit(n_rounds: u32, data: &Matrix) -> Vec<Round> {
             let (v, target) =
                 if *label == Label::Positive { (positive, 1.0) } else { (negative, 0.0) };
             *sums = Sums { g: v * (target - p), h: v * p * (1.0 - p), n: 1 };
-            // h (g / h)^2: the working response g / h of weight h.
+            // h (g / h)^2: the working response g / h has the weight h.
             squares += if 0.0 < sums.h { sums.g * sums.g / sums.h } else { 0.0 };
         }
         let Some((tree, leaf_of)) = grow(&binned, &sums) else { break };
@@ -107,8 +108,8 @@ pub(crate) fn fit(n_rounds: u32, data: &Matrix) -> Vec<Round> {
     rounds
 }
 
-/// Cuts the sorted values into bins of about n / [`MAX_BINS`] pairs, never between equal ones nor
-/// where no number lies between two.
+/// Cuts the sorted values into bins of about n / [`MAX_BINS`] pairs. It never cuts between equal
+/// values, or between two values with no number in between.
 fn bin(column: &[f64]) -> Binned {
     let mut rows: Vec<u32> = (0..column.len() as u32).collect();
     rows.sort_unstable_by(|&a, &b| {
@@ -118,7 +119,7 @@ fn bin(column: &[f64]) -> Binned {
     let cuts: Vec<(usize, f64)> = (1..rows.len())
         .filter_map(|rank| Some((rank, midpoint(value(rank - 1), value(rank))?)))
         .collect();
-    // Of many places to cut, those that are first past equal shares of the pairs.
+    // If there are too many places to cut, take the first one after each equal share of the pairs.
     let mut kept = Vec::with_capacity(MAX_BINS - 1);
     let mut due = 1;
     for (k, &(rank, threshold)) in cuts.iter().enumerate() {
@@ -138,10 +139,10 @@ fn bin(column: &[f64]) -> Binned {
     Binned { bins, thresholds: kept.into_iter().map(|(_, threshold)| threshold).collect() }
 }
 
-/// A tree and the leaf of each pair; none where not even the root can be split.
+/// A tree and the leaf of each pair; `None` if not even the root can be split.
 fn grow(binned: &[Binned], sums: &[Sums]) -> Option<(Tree, Vec<usize>)> {
     let mut nodes = Vec::with_capacity((1 << DEPTH) - 1);
-    // Of each pair its node within the level.
+    // The node of each pair within the level.
     let mut places = vec![0usize; sums.len()];
     for level in 0..DEPTH {
         let n_nodes = 1 << level;
@@ -154,7 +155,7 @@ fn grow(binned: &[Binned], sums: &[Sums]) -> Option<(Tree, Vec<usize>)> {
             })
             .collect();
         let best = |node: usize| {
-            // Of equal gains the first feature's and the lowest threshold's stay.
+            // If gains are equal, the first feature and the lowest threshold are chosen.
             let better = |best: Option<Best>, next: Option<Best>| match (best, next) {
                 (Some(best), Some(next)) if next.gain <= best.gain + TIE => Some(best),
                 (best, next) => next.or(best),
@@ -192,7 +193,7 @@ fn totals(places: &[usize], sums: &[Sums], n_nodes: usize) -> Vec<Sums> {
     totals
 }
 
-/// The best split by one feature of each node of a level.
+/// The best split of each node of a level by one feature.
 fn splits(
     feature: usize,
     column: &Binned,
@@ -233,19 +234,18 @@ mod tests {
     use super::*;
     use Label::{Negative, Positive};
 
-    /// 40 positives at 1 and 40 negatives at 2 of the second feature; the first is constant.
+    /// The second feature is 1 for 40 positives and 2 for 40 negatives; the first is constant.
     ///
-    /// On paper: v = 80 / 80 = 1, p = 1/2, g = +-1/2, h = 1/4. The one split is at 1.5: left
-    /// G = 20 and H = 10, right -20 and 10; each side is pure, but every split of it would need
-    /// another value. Leaves 0.1 x 20 / 11 = 2/11 and -2/11. Explained: 80 pairs x (2/11)
-    /// (2 x 1/2 - 2/11 x 1/4) of the 80 squares of (g/h)^2 h = 1: left over
-    /// 1 - 2/11 + (2/11)^2 / 4 = 100/121.
+    /// v = 80 / 80 = 1, p = 1/2, g = +-1/2, h = 1/4. The only split is at 1.5. Left G = 20 and
+    /// H = 10, right G = -20 and H = 10: the leaves are 0.1 x 20 / 11 = 2/11 and -2/11. Each pair
+    /// has the square (g/h)^2 h = 1, of which (2/11) (2 x 1/2 - 2/11 x 1/4) is explained. That
+    /// leaves 1 - 2/11 + (2/11)^2 / 4 = 100/121.
     #[test]
-    fn two_values_by_hand() {
+    fn two_values_give_the_trees_worked_out_by_hand() {
         let labels = [[Positive; 40], [Negative; 40]].concat();
         let x = labels.iter().map(|l| if *l == Positive { 1.0 } else { 2.0 }).collect();
         let rounds = fit(2, &Matrix::new(vec![vec![7.0; 80], x], labels));
-        let WeakLearner::Tree(tree) = rounds[0].weak else { panic!("logit_trees gives trees") };
+        let WeakLearner::Tree(tree) = rounds[0].weak else { panic!("expected a tree") };
         let splits: Vec<_> = rounds[0].weak.splits().collect();
         assert_eq!(splits.len(), 1);
         assert_eq!((splits[0].feature, splits[0].threshold), (1, Some(1.5)));
@@ -253,16 +253,16 @@ mod tests {
         assert!((value(1.0) - 2.0 / 11.0).abs() < 1e-12);
         assert!((value(2.0) + 2.0 / 11.0).abs() < 1e-12);
         assert!((rounds[0].weighted_error - 100.0 / 121.0).abs() < 1e-12);
-        // Round 2, with p of the positives 1 / (1 + e^(-2/11)): G = 40 (1 - p), H = 40 p (1 - p).
+        // Round 2: the positives have p = 1 / (1 + e^(-2/11)), G = 40 (1 - p), H = 40 p (1 - p).
         let p = 1.0 / (1.0 + (-2.0f64 / 11.0).exp());
         let expected = 0.1 * 40.0 * (1.0 - p) / (40.0 * p * (1.0 - p) + 1.0);
         let WeakLearner::Tree(tree) = rounds[1].weak else { unreachable!() };
         assert!((tree.value_of(|_| 1.0) - expected).abs() < 1e-12);
     }
 
-    /// Neither feature alone tells these apart; two levels do.
+    /// The label depends on both features: neither feature alone separates the classes.
     #[test]
-    fn a_tree_learns_what_two_features_tell_together() {
+    fn a_tree_learns_a_label_that_depends_on_two_features() {
         let quarter = |k: usize| k % 100 / 25;
         let columns = vec![
             (0..400).map(|k| f64::from(quarter(k) < 2) + k as f64 * 1e-6).collect(),
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_pairs_for_two_leaves_and_constants_teach_nothing() {
+    fn too_few_pairs_or_a_constant_feature_give_no_rounds() {
         let labels = [[Positive; 19], [Negative; 19]].concat();
         let x: Vec<f64> = (0..38).map(f64::from).collect();
         assert!(fit(3, &Matrix::new(vec![x], labels.clone())).is_empty());
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn bins_hold_equal_shares_and_never_part_equal_values() {
+    fn bins_have_equal_numbers_of_pairs_and_never_split_equal_values() {
         let few = bin(&[2.0, 1.0, 2.0, 3.0]);
         assert_eq!((few.bins, few.thresholds), (vec![1, 0, 1, 2], vec![1.5, 2.5]));
         let column: Vec<f64> = (0..10_000).map(|k| f64::from(k * 7919 % 10_000)).collect();

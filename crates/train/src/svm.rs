@@ -4,11 +4,11 @@
 //! min over w of  1/2 |w|^2 + C sum of max(0, 1 - y_i w.x_i)^2      x_i with a 1 appended, C = 1
 //! ```
 //!
-//! The squared hinge loss, the bias regularised with the rest: what LIBLINEAR solves by default
-//! (Fan et al. 2008, "LIBLINEAR: a library for large linear classification"). The objective is
-//! strictly convex, so that there is one solution; with few features Newton steps reach it to
-//! rounding in a few rounds (Keerthi and DeCoste 2005, "A modified finite Newton method for fast
-//! solution of large scale linear SVMs").
+//! This is the default problem of LIBLINEAR: squared hinge loss, with the bias regularised like the
+//! other weights (Fan et al. 2008, "LIBLINEAR: a library for large linear classification"). The
+//! objective is strictly convex, so there is exactly one solution. With few features, a few Newton
+//! steps reach it up to rounding (Keerthi and DeCoste 2005, "A modified finite Newton method for
+//! fast solution of large scale linear SVMs").
 
 use nalgebra::{DMatrix, DVector};
 
@@ -17,17 +17,17 @@ use crate::matrix::Matrix;
 
 /// Weight of the loss.
 const C: f64 = 1.0;
-/// Newton steps; a handful is enough, the bound is for data that defy rounding.
+/// Largest number of Newton steps. A few are enough; the limit guards against rounding problems.
 const MAX_STEPS: usize = 100;
-/// A step shorter than this changes nothing that matters.
+/// Stop when a step is shorter than this: it no longer changes the result noticeably.
 const MIN_STEP: f64 = 1e-10;
 
 /// The fitted machine.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Linear {
-    /// Mean and factor of each feature on the training rows.
+    /// The mean and the factor of each feature on the training rows.
     scales: Vec<(f64, f64)>,
-    /// Weights, the bias last.
+    /// The weights; the bias is the last one.
     w: Vec<f64>,
 }
 
@@ -39,7 +39,7 @@ impl Linear {
         Self { scales, w: w.iter().copied().collect() }
     }
 
-    /// Confidence w.x of a pair, from its feature differences.
+    /// The confidence w.x of a pair with these feature differences.
     pub(crate) fn confidence(&self, difference: &[f64]) -> f64 {
         let products = self
             .scales
@@ -55,14 +55,14 @@ fn decision(w: &DVector<f64>, x: &[f64]) -> f64 {
     x.iter().zip(w.iter()).map(|(x, w)| x * w).sum::<f64>() + w[x.len()]
 }
 
-/// Weights, the bias last, `(n_features + 1,)`.
+/// The weights, `(n_features + 1,)`; the bias is the last one.
 fn fit(rows: &[f64], y: &[f64], n_features: usize) -> DVector<f64> {
     let n = n_features + 1;
     let mut w = DVector::zeros(n);
     let mut loss = objective(&w, rows, y, n_features);
     for _ in 0..MAX_STEPS {
-        // Gradient w - 2 C sum (1 - y w.x) y x and Hessian 1 + 2 C sum x x', both over the rows
-        // within the margin.
+        // Gradient w - 2 C sum (1 - y w.x) y x and Hessian 1 + 2 C sum x x'. Both sums run over the
+        // rows inside the margin.
         let mut gradient = w.clone();
         let mut hessian = DMatrix::identity(n, n);
         for (x, &y) in rows.chunks(n_features).zip(y) {
@@ -73,7 +73,7 @@ fn fit(rows: &[f64], y: &[f64], n_features: usize) -> DVector<f64> {
                 hessian.ger(2.0 * C, &x, &x, 1.0);
             }
         }
-        // The Hessian is the identity plus squares: it always has a Cholesky factor.
+        // The Hessian is the identity plus squares, so it always has a Cholesky factor.
         let Some(factor) = hessian.cholesky() else { break };
         let step = factor.solve(&gradient);
         let mut share = 1.0;
@@ -106,20 +106,19 @@ fn objective(w: &DVector<f64>, rows: &[f64], y: &[f64], n_features: usize) -> f6
 mod tests {
     use super::*;
 
-    /// x = 1 (+) and -1 (-): by symmetry the bias is 0 and 1/2 w^2 + 2 (1 - w)^2 is least where
-    /// w = 4 (1 - w), at 4/5.
+    /// x = 1 (+) and -1 (-). By symmetry the bias is 0, and 1/2 w^2 + 2 (1 - w)^2 is least where
+    /// w = 4 (1 - w), at w = 4/5.
     #[test]
-    fn two_points_by_hand() {
+    fn two_points_give_the_weights_worked_out_by_hand() {
         let w = fit(&[1.0, -1.0], &[1.0, -1.0], 1);
         assert!((w[0] - 0.8).abs() < 1e-12 && w[1].abs() < 1e-12, "{w}");
     }
 
-    /// One class that lies at x = 1 twice as often: two at 1 (+), one at -1 (-). With u = 1 - w - b
-    /// and v = 1 - w + b the gradient vanishes where w = 4 u + 2 v and b = 4 u - 2 v:
-    /// w = 6 - 6 w - 2 b and b = 2 - 2 w - 6 b, so that 7 w + 2 b = 6 and 2 w + 7 b = 2,
-    /// w = 38/45 and b = 2/45.
+    /// Two points at x = 1 (+) and one at -1 (-). With u = 1 - w - b and v = 1 - w + b, the gradient
+    /// is zero where w = 4 u + 2 v and b = 4 u - 2 v. That is w = 6 - 6 w - 2 b and
+    /// b = 2 - 2 w - 6 b, or 7 w + 2 b = 6 and 2 w + 7 b = 2: w = 38/45 and b = 2/45.
     #[test]
-    fn three_points_by_hand() {
+    fn unequal_classes_give_the_weights_worked_out_by_hand() {
         let w = fit(&[1.0, 1.0, -1.0], &[1.0, 1.0, -1.0], 1);
         assert!((w[0] - 38.0 / 45.0).abs() < 1e-12 && (w[1] - 2.0 / 45.0).abs() < 1e-12, "{w}");
     }
