@@ -15,8 +15,10 @@ use crate::stage::Artifact;
 ///   run.json                     what was made from what (see `manifest`)
 ///   logs/<log>.mcap              simulated logs
 ///   scans/<log>.parquet          poses/<log>.parquet
-///   keyframes.parquet            pairs.parquet            features.parquet
+///   keyframes.parquet            pairs.parquet
+///   features.parquet             feature_stability.parquet
 ///   scores.parquet               rounds.parquet           retrieval.parquet  grid.parquet
+///   feature_usefulness.parquet
 ///   models/<name>/<version>/     model.json, card.md
 ///   evaluation/*.parquet         evaluation/summary.json  evaluation/figures/*.svg
 ///   report.html
