@@ -10,11 +10,13 @@ pub struct SplitMix64(u64);
 
 impl SplitMix64 {
     /// A generator with this state.
+    #[inline]
     pub fn new(state: u64) -> Self {
         Self(state)
     }
 
     /// The next number.
+    #[inline]
     pub fn next_u64(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mut z = self.0;

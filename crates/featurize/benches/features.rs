@@ -4,7 +4,7 @@
 //! `cargo bench -p featurize --bench features`
 //!
 //! `tests/peers/features.py` computes the same features of similar scans. It runs with the Python in
-//! `LOOPBOOST_PYTHON`. The two programs run in turn. (The script can also check the values in a run
+//! `LOOPBOOST_PYTHON`. The two programs run one after the other. (The script can also check the values in a run
 //! folder.)
 
 #[path = "../../../tests/require.rs"]
@@ -67,13 +67,13 @@ fn time_numpy(python: &str, set: FeatureSet) -> f64 {
 
 /// A rectangular room, rotated and shifted, with ripples of 2 cm on the walls.
 fn room(k: usize) -> Scan {
-    let turn = k as f64 * 0.7;
+    let rotation_rad = k as f64 * 0.7;
     let walls: [f64; 4] = std::array::from_fn(|wall| 1.0 + ((k * 7 + wall * 5) % 19) as f64);
     let mut scan = Scan { coverage_deg: 360.0, ..Scan::default() };
     for i in 0..RETURNS {
         let azimuth = i as f64 / RETURNS as f64 * std::f64::consts::TAU;
         let to_wall = |(wall, distance): (usize, &f64)| {
-            let cos = (azimuth - turn - wall as f64 * std::f64::consts::FRAC_PI_2).cos();
+            let cos = (azimuth - rotation_rad - wall as f64 * std::f64::consts::FRAC_PI_2).cos();
             if 1e-3 < cos { distance / cos } else { 60.0 }
         };
         let r = walls.iter().enumerate().map(to_wall).fold(60.0, f64::min);

@@ -311,20 +311,20 @@ fn an_option_out_of_range_is_reported_by_name() {
     assert_eq!(good().check(), Ok(()));
     let least = Options { positive_heading_deg: 0.0, ..options(0.0, 0.0, 1) };
     assert_eq!(least.check(), Ok(()));
-    let check_refused = |options: Options, name: &str| {
-        let refused = options.check().unwrap_err();
-        assert!(refused.to_string().starts_with(&format!("`label.{name}` is ")), "{refused}");
-        assert_eq!(label(&options, 7, &[]).unwrap_err().to_string(), refused.to_string());
+    let check_error = |options: Options, name: &str| {
+        let error = options.check().unwrap_err();
+        assert!(error.to_string().starts_with(&format!("`label.{name}` is ")), "{error}");
+        assert_eq!(label(&options, 7, &[]).unwrap_err().to_string(), error.to_string());
     };
     for value in [-0.1, f64::NAN, f64::INFINITY] {
-        check_refused(Options { positive_radius_m: value, ..good() }, "positive_radius_m");
-        check_refused(Options { positive_heading_deg: value, ..good() }, "positive_heading_deg");
-        check_refused(Options { negative_min_m: value, ..good() }, "negative_min_m");
-        check_refused(Options { min_travel_gap_m: value, ..good() }, "min_travel_gap_m");
+        check_error(Options { positive_radius_m: value, ..good() }, "positive_radius_m");
+        check_error(Options { positive_heading_deg: value, ..good() }, "positive_heading_deg");
+        check_error(Options { negative_min_m: value, ..good() }, "negative_min_m");
+        check_error(Options { min_travel_gap_m: value, ..good() }, "min_travel_gap_m");
     }
-    check_refused(Options { positive_heading_deg: 180.1, ..good() }, "positive_heading_deg");
-    check_refused(Options { negative_min_m: 1.4, ..good() }, "negative_min_m");
-    check_refused(Options { pairs_per_class: 0, ..good() }, "pairs_per_class");
+    check_error(Options { positive_heading_deg: 180.1, ..good() }, "positive_heading_deg");
+    check_error(Options { negative_min_m: 1.4, ..good() }, "negative_min_m");
+    check_error(Options { pairs_per_class: 0, ..good() }, "pairs_per_class");
 }
 
 fn fold_options(grouping: Grouping, n_folds: u32, seed: u64) -> FoldOptions {
@@ -391,8 +391,8 @@ fn too_few_folds_and_too_few_pairs_per_fold_are_errors() {
         assign_folds(&fold_options(Grouping::Pair, n_folds, 7), &keyframes, &pairs).unwrap_err()
     };
     for n_folds in [0, 1] {
-        let refused = error(n_folds, 20, 20).to_string();
-        assert!(refused.contains(&format!("folds` is {n_folds}, expected 2 or more")), "{refused}");
+        let error = error(n_folds, 20, 20).to_string();
+        assert!(error.contains(&format!("folds` is {n_folds}, expected 2 or more")), "{error}");
     }
     let positive = LabelError::TooFewForFolds { folds: 5, class: "positive", found: 4 };
     assert_eq!(error(5, 4, 20), positive);

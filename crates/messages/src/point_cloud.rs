@@ -298,27 +298,27 @@ mod tests {
 
     #[test]
     fn an_inconsistent_layout_is_an_error() {
-        let refused = |change: fn(&mut PointCloud<'_>)| {
+        let error = |change: fn(&mut PointCloud<'_>)| {
             let mut cloud = padded(false);
             change(&mut cloud);
             assert!(cloud.column("b").is_none());
             cloud.checked().unwrap_err().to_string()
         };
         assert_eq!(
-            refused(|cloud| cloud.fields[1].offset = 2),
+            error(|cloud| cloud.fields[1].offset = 2),
             "invalid point cloud layout: field `b` ends at byte 4, but a point has 3 bytes"
         );
         assert_eq!(
-            refused(|cloud| cloud.row_step = 5),
+            error(|cloud| cloud.row_step = 5),
             "invalid point cloud layout: rows are 5 bytes apart, but 2 points of 3 bytes have 6 bytes"
         );
         assert_eq!(
-            refused(|cloud| cloud.height = 3),
+            error(|cloud| cloud.height = 3),
             "invalid point cloud layout: 2 x 3 points of 3 bytes do not fit into 14 bytes"
         );
-        refused(|cloud| cloud.fields[1].offset = usize::MAX);
-        refused(|cloud| cloud.width = usize::MAX);
-        refused(|cloud| (cloud.height, cloud.row_step) = (usize::MAX, usize::MAX));
+        error(|cloud| cloud.fields[1].offset = usize::MAX);
+        error(|cloud| cloud.width = usize::MAX);
+        error(|cloud| (cloud.height, cloud.row_step) = (usize::MAX, usize::MAX));
         let points_without_bytes =
             PointCloud { point_step: 0, row_step: 0, fields: vec![], ..padded(false) };
         assert!(points_without_bytes.checked().is_err());

@@ -39,13 +39,13 @@ fn chain(error: &dyn Error) -> String {
 
 /// Edits the JSON of a model. Loading it must fail with an error that contains `words`.
 #[track_caller]
-fn check_refused(learner: Learner, edit: impl FnOnce(&mut Value), words: &str) -> ModelError {
+fn check_error(learner: Learner, edit: impl FnOnce(&mut Value), words: &str) -> ModelError {
     let mut value: Value = serde_json::from_str(&json_of(learner)).unwrap();
     edit(&mut value);
-    let refused = load_bytes(value.to_string().as_bytes()).expect_err(words);
-    let message = chain(&refused);
+    let error = load_bytes(value.to_string().as_bytes()).expect_err(words);
+    let message = chain(&error);
     assert!(message.contains("model.json") && message.contains(words), "{message}");
-    refused
+    error
 }
 
 /// The text of a model with a valid digest: the BLAKE3 digest of the text with an empty `digest`.
@@ -76,9 +76,9 @@ fn altered(text: &str, from: &str, to: &str) -> String {
 /// contains `words`.
 #[track_caller]
 fn check_invalid(learner: Learner, from: &str, to: &str, words: &str) {
-    let refused = load_bytes(altered(&json_of(learner), from, to).as_bytes()).expect_err(words);
-    let ModelError::Invalid { what, .. } = &refused else { panic!("{refused}") };
-    assert!(what.contains(words) && refused.to_string().contains("model.json"), "{refused}");
+    let error = load_bytes(altered(&json_of(learner), from, to).as_bytes()).expect_err(words);
+    let ModelError::Invalid { what, .. } = &error else { panic!("{error}") };
+    assert!(what.contains(words) && error.to_string().contains("model.json"), "{error}");
 }
 
 #[test]
@@ -133,18 +133,18 @@ fn the_error_for_altered_content_states_both_digests() {
     ] {
         let signed = altered(&text, from, to);
         let edited = text.replacen(from, to, 1);
-        let refused = load_bytes(edited.as_bytes()).expect_err(to);
-        let ModelError::Digest { found, expected, .. } = &refused else { panic!("{refused}") };
+        let error = load_bytes(edited.as_bytes()).expect_err(to);
+        let ModelError::Digest { found, expected, .. } = &error else { panic!("{error}") };
         assert_eq!((found.as_str(), expected.as_str()), (stated, digest_in(&signed)));
-        let message = refused.to_string();
+        let message = error.to_string();
         assert!(message.contains(found) && message.contains(expected), "{message}");
         // With a valid digest it is another model.
         let other = load_bytes(signed.as_bytes()).expect(to);
         assert!(!is_same(&other, &model(Learner::Discrete)), "{to}");
     }
     for digest in ["", "00ff", &"0".repeat(64), &stated.to_uppercase()] {
-        let refused = load_bytes(text.replace(stated, digest).as_bytes()).expect_err(digest);
-        let ModelError::Digest { found, expected, .. } = &refused else { panic!("{refused}") };
+        let error = load_bytes(text.replace(stated, digest).as_bytes()).expect_err(digest);
+        let ModelError::Digest { found, expected, .. } = &error else { panic!("{error}") };
         assert_eq!((found.as_str(), expected.as_str()), (digest, stated));
     }
 }
@@ -173,24 +173,24 @@ fn files_that_are_not_models_are_errors() {
     assert!(matches!(missing, ModelError::Io { action: "read", .. }));
     assert!(missing.to_string().contains("cannot read no/such/model.json"), "{missing}");
     for text in ["", "{", "model", "\u{feff}{}", &"[".repeat(100_000)] {
-        let refused = load_bytes(text.as_bytes()).unwrap_err();
-        assert!(matches!(refused, ModelError::NotAModel { .. }), "{refused}");
+        let error = load_bytes(text.as_bytes()).unwrap_err();
+        assert!(matches!(error, ModelError::NotAModel { .. }), "{error}");
     }
     for text in ["[]", "7", "null", "{}"] {
-        let refused = load_bytes(text.as_bytes()).unwrap_err();
-        assert!(matches!(refused, ModelError::NoVersion { .. }), "{refused}");
+        let error = load_bytes(text.as_bytes()).unwrap_err();
+        assert!(matches!(error, ModelError::NoVersion { .. }), "{error}");
     }
     let large = tempfile::NamedTempFile::new().unwrap();
     large.as_file().set_len(65 << 20).unwrap();
-    let refused = load(large.path()).unwrap_err();
-    assert!(matches!(refused, ModelError::TooLarge { n_bytes: 68_157_440, .. }), "{refused}");
-    assert!(refused.to_string().contains("it has 68157440 bytes, expected 67108864 or less"));
+    let error = load(large.path()).unwrap_err();
+    assert!(matches!(error, ModelError::TooLarge { n_bytes: 68_157_440, .. }), "{error}");
+    assert!(error.to_string().contains("it has 68157440 bytes, expected 67108864 or less"));
 
     for found in [json!(2), json!(0), json!("1"), json!(null), json!(1.5)] {
         let words = format!("has format version {found}, expected 1");
-        let refused = check_refused(Learner::Discrete, |f| f["format_version"] = found, &words);
-        assert!(matches!(refused, ModelError::Version { .. }));
-        assert!(refused.to_string().contains("loopboost train"), "{refused}");
+        let error = check_error(Learner::Discrete, |f| f["format_version"] = found, &words);
+        assert!(matches!(error, ModelError::Version { .. }));
+        assert!(error.to_string().contains("loopboost train"), "{error}");
     }
 }
 
@@ -204,17 +204,17 @@ fn unknown_and_missing_fields_are_reported_by_name() {
         let file: Value = serde_json::from_str(&json_of(learner)).unwrap();
         for place in OBJECTS {
             let add = |file: &mut Value| file.pointer_mut(place).unwrap()["surprise"] = json!(1);
-            let refused = check_refused(learner, add, "surprise");
-            assert!(matches!(refused, ModelError::NotAModel { .. }));
+            let error = check_error(learner, add, "surprise");
+            assert!(matches!(error, ModelError::NotAModel { .. }));
             let keys = file.pointer(place).unwrap().as_object().unwrap().keys();
             for key in keys {
                 let remove = |file: &mut Value| {
                     file.pointer_mut(place).unwrap().as_object_mut().unwrap().remove(key);
                 };
-                let refused = check_refused(learner, remove, key);
+                let error = check_error(learner, remove, key);
                 let is_expected = match (place, key.as_str()) {
-                    ("", "format_version") => matches!(refused, ModelError::NoVersion { .. }),
-                    _ => matches!(refused, ModelError::NotAModel { .. }),
+                    ("", "format_version") => matches!(error, ModelError::NoVersion { .. }),
+                    _ => matches!(error, ModelError::NotAModel { .. }),
                 };
                 assert!(is_expected, "{place} {key}");
             }
@@ -236,10 +236,10 @@ fn duplicate_fields_are_errors() {
             }
             let twice = format!("{},\n{line}", line.trim_end_matches(','));
             let twice = text.replacen(line, &twice, 1);
-            let refused = load_bytes(twice.as_bytes()).expect_err(line);
+            let error = load_bytes(twice.as_bytes()).expect_err(line);
             let words = format!("duplicate field `{}`", key.trim_matches('"'));
-            assert!(matches!(refused, ModelError::NotAModel { .. }), "{refused}");
-            assert!(chain(&refused).contains(&words), "{}", chain(&refused));
+            assert!(matches!(error, ModelError::NotAModel { .. }), "{error}");
+            assert!(chain(&error).contains(&words), "{}", chain(&error));
             n_fields += 1;
         }
         assert!(31 < n_fields, "{n_fields}");
@@ -293,9 +293,9 @@ fn invalid_values_are_reported_by_name() {
             check_invalid(learner, &of(learner), &of(other), &words);
         }
     }
-    check_refused(Discrete, |f| f["rounds"][0]["kind"] = json!("bush"), "variant `bush`");
+    check_error(Discrete, |f| f["rounds"][0]["kind"] = json!("bush"), "variant `bush`");
     let check_tree = |edit: fn(&mut Value), words: &str| {
-        check_refused(Learner::LogitTrees, |f| edit(&mut f["rounds"]), words);
+        check_error(Learner::LogitTrees, |f| edit(&mut f["rounds"]), words);
     };
     let words = "rounds[0].feature: `colour` is not among features.names";
     check_tree(|r| r[0]["nodes"][2]["feature"] = json!("colour"), words);
@@ -309,7 +309,7 @@ fn invalid_values_are_reported_by_name() {
     };
     check_tree(deep, "rounds[1]: 15 nodes and 16 leaves");
     check_tree(|r| r[0]["nodes"][0]["colour"] = json!(1), "unknown field `colour`");
-    check_refused(Discrete, |f| f["learner"] = json!("forest"), "variant `forest`");
+    check_error(Discrete, |f| f["learner"] = json!("forest"), "variant `forest`");
 }
 
 /// The lines with a number, as (line number, text before the number).
@@ -338,8 +338,8 @@ fn numbers_that_are_not_finite_are_errors() {
         for (k, before) in lines {
             for not_finite in ["1e999", "-1e999", "NaN", "Infinity"] {
                 let edited = with_line(&text, k, &format!("{before}{not_finite}"));
-                let refused = load_bytes(edited.as_bytes()).expect_err(&before);
-                assert!(matches!(refused, ModelError::NotAModel { .. }), "{before}: {refused}");
+                let error = load_bytes(edited.as_bytes()).expect_err(&before);
+                assert!(matches!(error, ModelError::NotAModel { .. }), "{before}: {error}");
             }
             // Null is valid only for a precision (0.9375 here) and in the options of `label`, which may
             // be any JSON.
@@ -384,9 +384,9 @@ fn damaged_files_are_errors_or_give_the_same_model() {
         let bytes = damage(&texts[seed % 3], seed as u64);
         match load_bytes(&bytes) {
             Ok(loaded) => assert!(is_same(&loaded, &model(LEARNERS[seed % 3])), "{loaded:?}"),
-            Err(refused) => {
-                n_digest += usize::from(matches!(refused, ModelError::Digest { .. }));
-                assert!(refused.to_string().contains("model.json"), "{refused}");
+            Err(error) => {
+                n_digest += usize::from(matches!(error, ModelError::Digest { .. }));
+                assert!(error.to_string().contains("model.json"), "{error}");
             }
         }
         // With a valid digest, the other checks decide. If the model loads, it can be saved.
@@ -406,9 +406,9 @@ fn damaged_files_are_errors_or_give_the_same_model() {
 fn a_coverage_beyond_single_precision_is_an_error() {
     for value in ["359.7", "360.1"] {
         let text = json_of(Learner::Discrete).replace(value, "1e39");
-        let refused = load_bytes(text.as_bytes()).unwrap_err();
-        assert!(matches!(refused, ModelError::NotAModel { .. }), "{refused}");
-        let message = chain(&refused);
+        let error = load_bytes(text.as_bytes()).unwrap_err();
+        assert!(matches!(error, ModelError::NotAModel { .. }), "{error}");
+        let message = chain(&error);
         assert!(message.contains("number out of range at line"), "{message}");
     }
 }

@@ -158,13 +158,10 @@ fn a_card_states_the_training_data_and_the_measured_errors() {
 /// Saves the model with an edit. Saving must fail with an error that contains `words`, and must not
 /// write any file.
 #[track_caller]
-fn check_refused(edit: impl FnOnce(&mut Model), words: &str) {
+fn check_error(edit: impl FnOnce(&mut Model), words: &str) {
     let folder = tempfile::tempdir().unwrap();
-    let refused = save(&folder.path().join("models"), &edited(edit)).expect_err(words);
-    assert!(
-        matches!(&refused, ModelError::Invalid { what, .. } if what.contains(words)),
-        "{refused}"
-    );
+    let error = save(&folder.path().join("models"), &edited(edit)).expect_err(words);
+    assert!(matches!(&error, ModelError::Invalid { what, .. } if what.contains(words)), "{error}");
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "{words}: a file was written");
 }
 
@@ -218,7 +215,7 @@ fn a_model_with_an_invalid_number_is_not_saved() {
                     *m = model(learner);
                     *numbers(m)[k].1 = value;
                 };
-                check_refused(edit, &format!("{name}: {value}, expected"));
+                check_error(edit, &format!("{name}: {value}, expected"));
             }
         }
     }
@@ -226,13 +223,13 @@ fn a_model_with_an_invalid_number_is_not_saved() {
         let (name, _) = numbers(&mut model(Learner::Discrete))[k];
         for value in [7.0, -0.1, 1f64.next_up()] {
             let words = format!("{name}: {value}, expected 0 to 1");
-            check_refused(|m| *numbers(m)[k].1 = value, &words);
+            check_error(|m| *numbers(m)[k].1 = value, &words);
         }
     }
     for value in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let words = format!("deg: {value}, expected a finite number");
-        check_refused(|m| m.scans.coverage_min_deg = value, &words);
-        check_refused(|m| m.scans.coverage_max_deg = value, &words);
+        check_error(|m| m.scans.coverage_min_deg = value, &words);
+        check_error(|m| m.scans.coverage_max_deg = value, &words);
     }
 }
 
@@ -248,18 +245,18 @@ fn a_tree_with_an_invalid_number_is_not_saved() {
     };
     for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let words = format!("rounds[0].leaves[1]: {value}, expected a finite number");
-        check_refused(with(1.0, value), &words);
+        check_error(with(1.0, value), &words);
     }
     for value in [f64::NAN, f64::NEG_INFINITY] {
         let words = format!("rounds[0].nodes[0].threshold: {value}, expected a finite number");
-        check_refused(with(value, 0.5), &words);
+        check_error(with(value, 0.5), &words);
     }
 }
 
 #[test]
 fn a_model_whose_name_is_a_path_is_not_saved() {
     for name in ["../campus", "..", ".", "", "/campus", "a/b", "a\\b", ".git", "a b", "käfer"] {
-        check_refused(|m| m.name = name.into(), &format!("name: `{name}`, expected letters"));
+        check_error(|m| m.name = name.into(), &format!("name: `{name}`, expected letters"));
     }
 }
 
@@ -270,7 +267,7 @@ fn an_invalid_model_does_not_change_saved_models() {
     let before = tree(folder.path());
     save(folder.path(), &edited(|m| m.measured[0].error = 7.0)).unwrap_err();
     assert!(tree(folder.path()) == before);
-    check_refused(|m| m.classifier.rounds.clear(), "rounds: none");
-    check_refused(|m| m.features.names.push("size".into()), "duplicate name");
-    check_refused(|m| m.classifier.learner = Learner::GentleLine, "rounds[0].kind: `vote`");
+    check_error(|m| m.classifier.rounds.clear(), "rounds: none");
+    check_error(|m| m.features.names.push("size".into()), "duplicate name");
+    check_error(|m| m.classifier.learner = Learner::GentleLine, "rounds[0].kind: `vote`");
 }

@@ -72,10 +72,10 @@ impl<'a> VelodyneScan<'a> {
         let Self { packets, stride, big_endian, .. } = *self;
         (0..self.n_packets).map(move |k| {
             let packet = &packets[k * stride..][..STAMPED_PACKET_BYTES];
-            let word = |at: usize| {
+            let u32_at = |at: usize| {
                 u32_of([packet[at], packet[at + 1], packet[at + 2], packet[at + 3]], big_endian)
             };
-            (time_ns(word(0), word(4)), &packet[8..])
+            (time_ns(u32_at(0), u32_at(4)), &packet[8..])
         })
     }
 }
