@@ -74,20 +74,20 @@ pub(super) fn scatter(input: &Input<'_>) -> Option<Scatter> {
 
 impl Scatter {
     pub(super) fn svg(&self) -> Markup {
-        let most = [self.most(0), self.most(1)];
+        let max = [self.axis_max(0), self.axis_max(1)];
         let (right, bottom) = (WIDTH - RIGHT, HEIGHT - BOTTOM);
         let at = |p: [f64; 2]| {
-            (LEFT + p[0] / most[0] * (right - LEFT), bottom - p[1] / most[1] * (bottom - TOP))
+            (LEFT + p[0] / max[0] * (right - LEFT), bottom - p[1] / max[1] * (bottom - TOP))
         };
-        let inside = |p: &&[f64; 2]| p[0] <= most[0] && p[1] <= most[1];
+        let inside = |p: &&[f64; 2]| p[0] <= max[0] && p[1] <= max[1];
         let cloud = |points: &[[f64; 2]]| dots(points.iter().filter(inside).map(|p| at(*p)));
         let [x, y] = &self.thresholds;
         let (threshold_x, threshold_y) = (at([x.threshold, 0.0]).0, at([0.0, y.threshold]).1);
         let n_outside = self.positive.iter().chain(&self.negative).filter(|p| !inside(p)).count();
-        let format_tick = |most: f64| -> fn(f64) -> String {
-            if most < 1.0 {
+        let format_tick = |max: f64| -> fn(f64) -> String {
+            if max < 1.0 {
                 |v| format!("{v:.2}")
-            } else if most < 10.0 {
+            } else if max < 10.0 {
                 |v| format!("{v:.1}")
             } else {
                 |v| format!("{v:.0}")
@@ -97,22 +97,22 @@ impl Scatter {
             svg id=(self.id) class="chart" viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } role="img"
                 aria-label={ "Pairs by the differences of " (x.feature) " and " (y.feature) ", with the thresholds of rounds " (x.round) " and " (y.round) } {
                 g class="grid" {
-                    @for tick in ticks(0.0, most[0]) { path d={ "M" (px(at([tick, 0.0]).0)) " " (TOP) "V" (bottom) } {} }
-                    @for tick in ticks(0.0, most[1]) { path d={ "M" (LEFT) " " (px(at([0.0, tick]).1)) "H" (right) } {} }
+                    @for tick in ticks(0.0, max[0]) { path d={ "M" (px(at([tick, 0.0]).0)) " " (TOP) "V" (bottom) } {} }
+                    @for tick in ticks(0.0, max[1]) { path d={ "M" (LEFT) " " (px(at([0.0, tick]).1)) "H" (right) } {} }
                 }
                 g class="ticks" {
-                    @for tick in ticks(0.0, most[0]) { text x=(px(at([tick, 0.0]).0)) y=(bottom + 17.0) text-anchor="middle" { (format_tick(most[0])(tick)) } }
-                    @for tick in ticks(0.0, most[1]) { text x=(LEFT - 7.0) y=(px(at([0.0, tick]).1 + 4.0)) text-anchor="end" { (format_tick(most[1])(tick)) } }
+                    @for tick in ticks(0.0, max[0]) { text x=(px(at([tick, 0.0]).0)) y=(bottom + 17.0) text-anchor="middle" { (format_tick(max[0])(tick)) } }
+                    @for tick in ticks(0.0, max[1]) { text x=(LEFT - 7.0) y=(px(at([0.0, tick]).1 + 4.0)) text-anchor="end" { (format_tick(max[1])(tick)) } }
                     text class="axis-title" x=(px(f64::midpoint(LEFT, right))) y=(bottom + 37.0) text-anchor="middle" { "difference of " (x.feature) }
                     text class="axis-title" transform={ "translate(15 " (px(f64::midpoint(TOP, bottom))) ") rotate(-90)" } text-anchor="middle" { "difference of " (y.feature) }
                 }
                 path class="dots negative-dots" d=(cloud(&self.negative)) {}
                 path class="dots positive-dots" d=(cloud(&self.positive)) {}
-                @if x.threshold <= most[0] {
+                @if x.threshold <= max[0] {
                     path class="threshold" d={ "M" (px(threshold_x)) " " (TOP) "V" (bottom) } { title { "round " (x.round) ": " (x.feature) " < " (format!("{:.4}", x.threshold)) } }
                     text class="threshold-name" x=(px(threshold_x)) y=(TOP - 7.0) text-anchor="middle" { "round " (x.round) }
                 }
-                @if y.threshold <= most[1] {
+                @if y.threshold <= max[1] {
                     path class="threshold" d={ "M" (LEFT) " " (px(threshold_y)) "H" (right) } { title { "round " (y.round) ": " (y.feature) " < " (format!("{:.4}", y.threshold)) } }
                     text class="threshold-name" x=(right - 2.0) y=(px(threshold_y - 6.0)) text-anchor="end" { "round " (y.round) }
                 }
@@ -128,13 +128,13 @@ impl Scatter {
     }
 
     /// The maximum of an axis: above [`SHOWN`] of the pairs and above the threshold.
-    fn most(&self, feature: usize) -> f64 {
+    fn axis_max(&self, feature: usize) -> f64 {
         let mut values: Vec<f64> =
             self.positive.iter().chain(&self.negative).map(|p| p[feature]).collect();
         values.sort_by(f64::total_cmp);
-        let place = (values.len().saturating_sub(1) as f64 * SHOWN) as usize;
-        let most =
-            values.get(place).copied().unwrap_or(1.0).max(self.thresholds[feature].threshold * 1.1);
-        if 0.0 < most { most } else { 1.0 }
+        let index = (values.len().saturating_sub(1) as f64 * SHOWN) as usize;
+        let max =
+            values.get(index).copied().unwrap_or(1.0).max(self.thresholds[feature].threshold * 1.1);
+        if 0.0 < max { max } else { 1.0 }
     }
 }

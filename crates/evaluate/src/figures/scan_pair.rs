@@ -42,13 +42,13 @@ pub(super) fn scan_pairs(input: &Input<'_>, sketches: &Sketches) -> Vec<Figure> 
 
 /// Two scans in the frame of the robot, which is at the centre and faces up.
 fn scan_pair(id: &str, kind: &str, text: &str, scans: [&[[f64; 2]]; 2]) -> Markup {
-    let mut reach: Vec<f64> =
+    let mut extents_m: Vec<f64> =
         scans.into_iter().flatten().map(|p| p[0].abs().max(p[1].abs())).collect();
-    reach.sort_by(f64::total_cmp);
-    let place = (reach.len().saturating_sub(1) as f64 * SHOWN) as usize;
-    let most = reach.get(place).copied().unwrap_or(1.0).max(1.0);
-    let scale = SIDE / 2.0 / most;
-    let bar_m = round_length(most / 2.0);
+    extents_m.sort_by(f64::total_cmp);
+    let index = (extents_m.len().saturating_sub(1) as f64 * SHOWN) as usize;
+    let extent_m = extents_m.get(index).copied().unwrap_or(1.0).max(1.0);
+    let scale = SIDE / 2.0 / extent_m;
+    let bar_m = round_length(extent_m / 2.0);
     html! {
         svg id=(id) class={ "scan-pair " (kind) } viewBox={ "0 0 " (2.0 * SIDE + GAP) " " (SIDE + BELOW) } role="img" aria-label=(text) {
             title { (text) }
@@ -56,7 +56,7 @@ fn scan_pair(id: &str, kind: &str, text: &str, scans: [&[[f64; 2]]; 2]) -> Marku
                 @let (x, y) = (k as f64 * (SIDE + GAP) + SIDE / 2.0, SIDE / 2.0);
                 rect class="frame" x=(px(x - SIDE / 2.0 + 0.5)) y="0.5" width=(SIDE - 1.0) height=(SIDE - 1.0) rx="4" {}
                 // The robot faces up, its left is left.
-                path class="returns" d=(dots(scan.iter().filter(|p| p[0].abs().max(p[1].abs()) <= most * 0.98).map(|p| (x - p[1] * scale, y - p[0] * scale)))) {}
+                path class="returns" d=(dots(scan.iter().filter(|p| p[0].abs().max(p[1].abs()) <= extent_m * 0.98).map(|p| (x - p[1] * scale, y - p[0] * scale)))) {}
                 path class="robot" d={ "M" (px(x)) " " (px(y - 5.0)) "l3.5 8h-7z" } {}
             }
             g class="ticks" {
