@@ -16,8 +16,8 @@ pub(super) fn section(input: &Input<'_>, evaluation: &Evaluation, figures: &[Fig
             h2 { "Cross-validation" }
             p {
                 "Each pair belongs to one or two folds. The classifier that scores it was trained without any pair of these folds, "
-                "on equal numbers of both classes. A pair is classified as a match if its confidence is 0 or more. "
-                "The measures from average precision on consider all thresholds."
+                "on equal numbers of both classes. The error counts a pair as a match if its confidence is 0 or more. "
+                "The other measures consider all thresholds."
                 @if input.resamples > 0 {
                     " Below each value is its 95\u{a0}% interval over " (input.resamples) " bootstrap resamples."
                 }
@@ -44,7 +44,8 @@ fn grouping_section(
     html! {
         h3 { "By " (grouping) ": " (grouping_meaning(grouping)) }
         p class="note" {
-            (n_groups) " " (grouping_unit(grouping)) " in " (n_folds) " folds. Each classifier is trained on " (fewest)
+            @if grouping != "pair" { "The pairs are from " }
+            (n_groups) " " (grouping_unit(grouping)) ", split into " (n_folds) " folds. Each classifier is trained on " (fewest)
             @if fewest < most { " to " (most) }
             " pairs."
             @if n_groups < MIN_GROUPS { " No intervals: fewer than " (MIN_GROUPS) " " (grouping_unit(grouping)) "." }

@@ -24,6 +24,7 @@ pub(super) fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
             ": " (logs.join(", ")) "."
         }
         (errors(input, evaluation))
+        p class="note" { "The paper is " i { "Learning Loop Closures by Boosting" } ". This report shows the same figures and tables." }
         @for reason in input.not_evaluated { p class="note" { "Not evaluated: " (reason) "." } }
     }
 }
