@@ -132,7 +132,7 @@ const MAX_FALSE_ALARM: f64 = 0.01;
 ///
 /// Counts may be weights, for example the number of times that a bootstrap drew each pair.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Walk {
+pub(crate) struct ThresholdSweep {
     n_positive: f64,
     n_negative: f64,
     true_positive: f64,
@@ -140,7 +140,7 @@ pub(crate) struct Walk {
     measures: Measures,
 }
 
-impl Walk {
+impl ThresholdSweep {
     /// Starts above all confidences; `None` without positives.
     pub(crate) fn new(n_positive: f64, n_negative: f64) -> Option<Self> {
         (0.0 < n_positive).then_some(Self {
@@ -232,18 +232,18 @@ impl Ranking {
             *(if is_positive { &mut n_positive } else { &mut n_negative }) += weight;
             wrong += if is_wrong { weight } else { 0.0 };
         }
-        let mut walk = Walk::new(n_positive, n_negative)?;
+        let mut sweep = ThresholdSweep::new(n_positive, n_negative)?;
         let (mut positives, mut negatives) = (0.0, 0.0);
         for (&row, &is_last) in self.order.iter().zip(&self.is_last_of_tie) {
             let weight = weights[row as usize];
             *(if self.is_positive[row as usize] { &mut positives } else { &mut negatives }) +=
                 weight;
             if is_last {
-                walk.step(positives, negatives);
+                sweep.step(positives, negatives);
                 (positives, negatives) = (0.0, 0.0);
             }
         }
-        Some((wrong / (n_positive + n_negative), walk.measures()))
+        Some((wrong / (n_positive + n_negative), sweep.measures()))
     }
 }
 
