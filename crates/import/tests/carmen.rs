@@ -169,12 +169,12 @@ fn topic_names_can_be_changed() {
 fn a_truncated_log_keeps_its_complete_lines() {
     let text: String =
         (0..3).map(|k| flaser("1 2 0.5", "1 2 0.25", &format!("{}45617", k + 2))).collect();
-    let whole = run(&text);
+    let complete = run(&text);
     for cut in 0..text.len() {
         match import(&[("a.log", &text.as_bytes()[..cut])], &Options::default()) {
             Ok(log) => {
                 let scans: Vec<_> = log.of("/scan").map(|message| &message.bytes).collect();
-                let expected: Vec<_> = whole.of("/scan").map(|message| &message.bytes).collect();
+                let expected: Vec<_> = complete.of("/scan").map(|message| &message.bytes).collect();
                 assert_eq!(scans, expected[..scans.len()]);
             }
             Err(ImportError::UnknownFormat { .. } | ImportError::Empty { .. }) => {}

@@ -149,18 +149,18 @@ fn lasers_in_an_unknown_order_keep_their_numbers_as_rings() {
 #[test]
 fn a_truncated_file_of_hits_keeps_its_complete_packets() {
     let file = hits_file(3);
-    let whole = run("velodyne_hits.bin", &file).unwrap();
+    let complete = run("velodyne_hits.bin", &file).unwrap();
     let bytes = |log: &Log| {
         let message = &log.messages[0];
         read_point_cloud(message.source, &message.bytes).unwrap().data.to_vec()
     };
-    let whole = bytes(&whole);
+    let complete = bytes(&complete);
     let mut lengths = Vec::new();
     for cut in 0..file.len() {
         match run("velodyne_hits.bin", &file[..cut]) {
             Ok(log) => {
                 let found = bytes(&log);
-                assert!(whole.starts_with(&found));
+                assert!(complete.starts_with(&found));
                 assert_eq!(log.imported.losses.is_empty(), cut % (file.len() / 3) == 0);
                 lengths.push(found.len() / 22);
             }

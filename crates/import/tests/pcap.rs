@@ -10,7 +10,7 @@ use messages::{read_nav_sat_fix, read_velodyne};
 use proptest::prelude::*;
 
 const T0_NS: i64 = 1_700_000_000_000_000_000;
-/// A packet takes 552.96 us, rounded to whole microseconds.
+/// A packet takes 552.96 us, rounded to complete microseconds.
 const STEP_NS: i64 = 553_000;
 
 /// The layout of a libpcap file.
@@ -370,15 +370,15 @@ fn a_truncated_capture_keeps_its_complete_packets() {
     for (stamp_ns, frame) in frames {
         pcapng.extend(enhanced(0, *stamp_ns as u64, frame, false));
     }
-    let whole = &expected().concat()[2..5];
+    let complete = &expected().concat()[2..5];
     for capture in [pcap(LITTLE_MICRO, 1, frames), pcapng] {
         let mut lengths = Vec::new();
         for cut in 0..capture.len() {
             match import(&[("a.pcap", &capture[..cut])], &options) {
                 Ok(log) => {
                     let found = flat(&log);
-                    assert_eq!(found, whole[..found.len()]);
-                    assert!(found.len() < whole.len());
+                    assert_eq!(found, complete[..found.len()]);
+                    assert!(found.len() < complete.len());
                     lengths.push(found.len());
                     let losses = log.losses(Severity::Warning);
                     let is_between_packets = losses.is_empty();
