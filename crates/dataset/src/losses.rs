@@ -23,10 +23,10 @@ codes! {
             => "damaged summary section{s} (the file was read without its index)";
         /// The index of a chunk contradicts the data.
         Warning "contradictory_index" ContradictoryIndex
-            => "chunk index{s} that the data contradict (the file was read without its index)";
+            => "chunk{s} with an index entry that contradicts the data (the file was read without its index)";
         /// Bytes between two chunks are not records.
         Warning "bytes_between_chunks" BytesBetweenChunks
-            => "stretch{s} of bytes between chunks that are not records";
+            => "byte range{s} between chunks without records";
         /// A record has an opcode that the format does not define.
         Warning "unknown_records" UnknownRecords
             => "record{s} of a kind that the MCAP format does not define";
@@ -41,10 +41,10 @@ codes! {
         Warning "oversized_chunks" OversizedChunks {
             /// The largest size that is accepted.
             max_bytes: u64,
-        } => "chunk{s} that claim more than {max_bytes} bytes";
+        } => "chunk{s} with a claimed size of more than {max_bytes} bytes";
         /// A chunk claims more bytes than the memory of the machine.
         Warning "chunks_beyond_memory" ChunksBeyondMemory
-            => "chunk{s} that claim more bytes than this machine has memory";
+            => "chunk{s} with a claimed size that exceeds the memory of this machine";
         /// A chunk of unknown compression.
         Warning "chunks_of_unknown_compression" ChunksOfUnknownCompression {
             /// The name in the header.
@@ -52,14 +52,14 @@ codes! {
         } => "chunk{s} with unknown compression `{compression}`";
         /// The decompressed length differs from the header's.
         Warning "chunk_length_mismatch" ChunkLengthMismatch
-            => "chunk{s} whose length contradicts their header";
+            => "chunk{s} with a length that contradicts the header";
         /// The CRC of a chunk does not match.
         Warning "chunk_crc_mismatch" ChunkCrcMismatch
-            => "chunk{s} whose CRC does not match (bytes were altered)";
+            => "chunk{s} with a wrong CRC (bytes were altered)";
         /// A chunk does not decompress.
-        Warning "undecompressable_chunks" UndecompressableChunks => "chunk{s} that do not decompress";
+        Warning "undecompressable_chunks" UndecompressableChunks => "chunk{s} with damaged compressed data";
         /// A chunk ends within a record.
-        Warning "truncated_chunks" TruncatedChunks => "chunk{s} that end within a record";
+        Warning "truncated_chunks" TruncatedChunks => "chunk{s} ending within a record";
         /// A message belongs to a channel that the file does not define.
         Warning "undefined_channel" UndefinedChannel
             => "message{s} of a channel that the file does not define";
@@ -100,10 +100,10 @@ codes! {
         Warning "no_gnss_fix" NoGnssFix => "message{s} without a satellite fix (status below 0)";
         /// A fix at latitude and longitude 0.
         Warning "gnss_fix_at_zero" GnssFixAtZero
-            => "fix{s} at latitude 0, longitude 0, which receivers send when they have none";
+            => "satellite position{s} at latitude 0, longitude 0 (receivers send it without a fix)";
         /// A latitude or longitude out of range.
         Warning "gnss_fix_out_of_range" GnssFixOutOfRange
-            => "fix{s} with a latitude or longitude out of range";
+            => "satellite position{s} with a latitude or longitude out of range";
         /// A JointState message has no wheels.
         Warning "no_wheel_joints" NoWheelJoints {
             /// The joints of the message.
@@ -114,7 +114,7 @@ codes! {
 
         /// A packet appears in two files of a split drive.
         Warning "packets_in_two_files" PacketsInTwoFiles
-            => "packet{s} that appear in two files of the drive";
+            => "packet{s} contained in two files of the drive";
         /// A packet without a stamp.
         Warning "unstamped_packets" UnstampedPackets => "packet{s} without a stamp (0)";
         /// A packet appears twice.
@@ -154,13 +154,13 @@ codes! {
 
         /// A cloud has more than one revolution.
         Warning "returns_beyond_revolution" ReturnsBeyondRevolution
-            => "return{s} after the first revolution of their cloud";
+            => "return{s} after the first revolution of the cloud";
         /// A pose has the stamp of another pose.
         Warning "duplicate_pose_stamps" DuplicatePoseStamps
             => "pose{s} with the stamp of another pose";
         /// A transform of the chain is not known at the stamp of a pose.
         Warning "poses_without_transform" PosesWithoutTransform
-            => "pose{s} at stamps where another transform of the chain is not known";
+            => "pose{s} at a time when another transform of the chain is not known";
         /// A stamp repeats in the wheel or IMU samples.
         Warning "duplicate_sample_stamps" DuplicateSampleStamps {
             /// `wheel` or `imu`.
