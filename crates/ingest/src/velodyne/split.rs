@@ -143,10 +143,11 @@ impl RevolutionSplitter {
             && azimuth.is_sorted()
             && self.revolution.reached <= u32::from(azimuth[0]) * FINE_PER_COUNT
             && u32::from(azimuth[azimuth.len() - 1]) + last_step < u32::from(AZIMUTH_COUNTS)
-            // A wider packet crosses azimuth 0, or its azimuths are invalid.
-            && u32::from(azimuth[azimuth.len() - 1] - azimuth[0]) < u32::from(AZIMUTH_COUNTS) / 2
+            // Steps of half a revolution are special cases. With these limits, a step between two
+            // firings is shorter, also for lasers that fire late in their block.
+            && u32::from(azimuth[azimuth.len() - 1] - azimuth[0]) < u32::from(AZIMUTH_COUNTS) / 4
             && u32::from(azimuth[0]) * FINE_PER_COUNT
-                < self.revolution.reached + FINE_PER_REVOLUTION / 2
+                < self.revolution.reached + FINE_PER_REVOLUTION / 4
     }
 
     /// Appends all firings of a packet to the current revolution. This is the fast path of
