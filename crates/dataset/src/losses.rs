@@ -86,6 +86,13 @@ codes! {
             /// What is wrong, by code.
             fault: String,
         } => "message{s} that could not be decoded as {message_type} ({fault})";
+        /// A point cloud lacks a field.
+        Warning "clouds_without_field" CloudsWithoutField {
+            /// The missing field.
+            field: String,
+            /// The fields of the cloud.
+            fields: String,
+        } => "point cloud{s} without a field `{field}` (fields: {fields})";
         /// A channel of the topic has another type.
         Warning "messages_of_other_type" MessagesOfOtherType {
             /// Schema and encoding.

@@ -95,23 +95,20 @@ pub enum MessageError {
 }
 
 impl MessageError {
-    /// A short description, without values that differ from message to message. It is used to count
-    /// messages with the same error.
-    pub fn kind(&self) -> String {
+    /// A stable name of the error, without values that differ from message to message. It is used to
+    /// count messages with the same error.
+    pub fn code(&self) -> &'static str {
         match self {
-            Self::WrongType { .. } | Self::WrongEncoding { .. } => self.to_string(),
-            Self::TooShort { .. } => "too short".to_owned(),
-            Self::Encapsulation { found } => {
-                format!("encapsulation {found:#06x}, expected 0x0000 or 0x0001 (plain CDR)")
-            }
-            Self::Malformed { .. } => "malformed".to_owned(),
-            Self::CloudLayout { .. } => "contradictory point cloud layout".to_owned(),
-            Self::NoField { field, found } => {
-                format!("no field `{field}`; there are {}", found.join(", "))
-            }
-            Self::NotFinite { .. } => "an angle that is not finite".to_owned(),
+            Self::WrongType { .. } => "wrong_type",
+            Self::WrongEncoding { .. } => "wrong_encoding",
+            Self::TooShort { .. } => "too_short",
+            Self::Encapsulation { .. } => "not_plain_cdr",
+            Self::Malformed { .. } => "malformed",
+            Self::CloudLayout { .. } => "contradictory_layout",
+            Self::NoField { .. } => "missing_field",
+            Self::NotFinite { .. } => "angle_not_finite",
             Self::PacketLength { .. } | Self::BlockFlag { .. } | Self::Azimuth { .. } => {
-                "not the layout of an HDL-32E data packet".to_owned()
+                "packet_layout"
             }
         }
     }

@@ -24,9 +24,14 @@ pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, L
 
 /// The loss of a message that could not be decoded.
 pub(crate) fn undecodable(source: Source, error: &MessageError) -> LossKind {
-    LossKind::UndecodableMessages {
-        message_type: source.message_type.name().to_owned(),
-        fault: error.kind(),
+    match error {
+        MessageError::NoField { field, found } => {
+            LossKind::CloudsWithoutField { field: field.clone(), fields: found.join(", ") }
+        }
+        error => LossKind::UndecodableMessages {
+            message_type: source.message_type.name().to_owned(),
+            fault: error.code().to_owned(),
+        },
     }
 }
 
