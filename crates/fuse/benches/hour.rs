@@ -43,8 +43,8 @@ fn level(bencher: divan::Bencher) {
     let logged = hour(&Options { track_m: 0.5, ..Options::default() });
     let reading = |sample: &fuse::ImuSample| InertialReading {
         stamp_ns: sample.stamp_ns,
-        angular_velocity: [0.0, 0.0, sample.yaw_rate_rad_s],
-        acceleration: Some([0.0, 0.0, 9.81]),
+        angular_velocity_rad_s: [0.0, 0.0, sample.yaw_rate_rad_s],
+        acceleration_m_s2: Some([0.0, 0.0, 9.81]),
     };
     let readings: Vec<InertialReading> = logged.imu.iter().map(reading).collect();
     let run = || yaw_rates_rad_s(&readings, &logged.wheels);

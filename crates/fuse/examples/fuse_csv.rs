@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     };
     let wheels: Vec<WheelSample> = rows(wheels)?
         .into_iter()
-        .map(|(stamp_ns, v)| WheelSample { stamp_ns, left_m_per_s: v[0], right_m_per_s: v[1] })
+        .map(|(stamp_ns, v)| WheelSample { stamp_ns, left_m_s: v[0], right_m_s: v[1] })
         .collect();
     let imu: Vec<ImuSample> = match imu.as_str() {
         "none" => Vec::new(),

@@ -23,7 +23,7 @@ const MAX_GAP_NS: i64 = 1_000_000_000;
 ///
 /// let mut dead_reckoning = DeadReckoning::new(Some(0.5));
 /// for stamp_ns in [0, 1_000_000_000] {
-///     let sample = WheelSample { stamp_ns, left_m_per_s: 2.0, right_m_per_s: 2.0 };
+///     let sample = WheelSample { stamp_ns, left_m_s: 2.0, right_m_s: 2.0 };
 ///     dead_reckoning.add_wheels(sample);
 /// }
 /// let poses = dead_reckoning.advance();
@@ -53,11 +53,11 @@ impl DeadReckoning {
     /// ignored.
     pub fn add_wheels(&mut self, sample: WheelSample) {
         let is_later = |stamp_ns: i64| self.wheels.back().is_none_or(|w| w.stamp_ns < stamp_ns);
-        let is_finite = (sample.left_m_per_s + sample.right_m_per_s).is_finite();
+        let is_finite = (sample.left_m_s + sample.right_m_s).is_finite();
         if is_finite && is_later(sample.stamp_ns) {
             self.wheels.push_back(sample);
             if let Some(track_m) = self.track_m {
-                let yaw_rate = (sample.right_m_per_s - sample.left_m_per_s) / track_m;
+                let yaw_rate = (sample.right_m_s - sample.left_m_s) / track_m;
                 self.yaw_rates.push_back((sample.stamp_ns, yaw_rate));
             }
         }
@@ -84,7 +84,7 @@ impl DeadReckoning {
             while self.wheels.get(1).is_some_and(|next| next.stamp_ns <= stamp_ns) {
                 self.wheels.pop_front();
             }
-            let speed = self.speed_m_per_s(stamp_ns);
+            let speed = self.speed_m_s(stamp_ns);
             if let (Some((last_ns, last_rate)), Some(speed)) = (self.last, speed) {
                 let secs = (stamp_ns - last_ns) as f64 * 1e-9;
                 let turn_rad = 0.5 * (last_rate + rate) * secs;
@@ -105,8 +105,8 @@ impl DeadReckoning {
 
     /// Speed of the midpoint between the wheels \[m/s\], interpolated between the first two kept
     /// samples. `None` before the first sample and inside a gap.
-    fn speed_m_per_s(&self, stamp_ns: i64) -> Option<f64> {
-        let mean = |wheels: &WheelSample| 0.5 * (wheels.left_m_per_s + wheels.right_m_per_s);
+    fn speed_m_s(&self, stamp_ns: i64) -> Option<f64> {
+        let mean = |wheels: &WheelSample| 0.5 * (wheels.left_m_s + wheels.right_m_s);
         let first = self.wheels.front()?;
         if stamp_ns <= first.stamp_ns {
             return (stamp_ns == first.stamp_ns).then(|| mean(first));
@@ -122,8 +122,8 @@ impl DeadReckoning {
 mod tests {
     use super::*;
 
-    fn wheels(ms: i64, left_m_per_s: f64, right_m_per_s: f64) -> WheelSample {
-        WheelSample { stamp_ns: ms * 1_000_000, left_m_per_s, right_m_per_s }
+    fn wheels(ms: i64, left_m_s: f64, right_m_s: f64) -> WheelSample {
+        WheelSample { stamp_ns: ms * 1_000_000, left_m_s, right_m_s }
     }
 
     /// 1 m/s and 1 rad/s: a circle of radius 1 m. After 0.5 s the robot is at

@@ -25,7 +25,7 @@ const DEVIATION_SIN: usize = 10;
 
 /// Prior standard deviation of the offset between the measured headings and the frame of the poses
 /// \[rad\]: the offset is unknown.
-const HEADING_OFFSET_STD: f64 = std::f64::consts::PI;
+const HEADING_OFFSET_STD_RAD: f64 = std::f64::consts::PI;
 
 pub(crate) type Vector = SVector<f64, N>;
 pub(crate) type Matrix = SMatrix<f64, N, N>;
@@ -78,15 +78,15 @@ pub(crate) struct Applied {
 /// The turn of the robot during a motion.
 struct Turn {
     /// Measured by the wheels \[rad\].
-    by_wheels: f64,
+    by_wheels_rad: f64,
     /// Measured by the gyroscope, without the bias; `None` without IMU samples \[rad\].
-    by_gyro: Option<f64>,
+    by_gyro_rad: Option<f64>,
     /// Weight of the gyroscope in the mean, 0 to 1; 0 without IMU samples.
     gyro_weight: f64,
     /// Weighted mean of the two \[rad\].
-    mean: f64,
+    mean_rad: f64,
     /// Variance of the mean \[rad^2\].
-    variance: f64,
+    variance_rad2: f64,
 }
 
 impl State {
@@ -97,7 +97,7 @@ impl State {
         std[WHEEL_SCALE] = options.wheel_scale_std;
         std[WHEEL_DIFFERENCE] = options.wheel_difference_std;
         std[TRACK] = options.track_std;
-        std[HEADING_OFFSET] = HEADING_OFFSET_STD;
+        std[HEADING_OFFSET] = HEADING_OFFSET_STD_RAD;
         std[HEADING_DRIFT] = options.heading_drift_std;
         std[DEVIATION_COS] = options.heading_deviation_std;
         std[DEVIATION_SIN] = options.heading_deviation_std;
@@ -128,25 +128,26 @@ impl State {
     fn turn(&self, options: &Options, motion: &Motion) -> Turn {
         let [s, e, k] = [WHEEL_SCALE, WHEEL_DIFFERENCE, TRACK].map(|state| self.mean[state]);
         let turned_m = (1.0 + s) * motion.difference_m + 2.0 * e * motion.distance_m;
-        let by_wheels = turned_m * (1.0 + k) / options.track_m;
+        let by_wheels_rad = turned_m * (1.0 + k) / options.track_m;
         let variance = &motion.variance;
         let Some(turn_rad) = motion.turn_rad else {
             return Turn {
-                by_wheels,
-                by_gyro: None,
+                by_wheels_rad,
+                by_gyro_rad: None,
                 gyro_weight: 0.0,
-                mean: by_wheels,
-                variance: variance.turn_wheels + variance.turn_both,
+                mean_rad: by_wheels_rad,
+                variance_rad2: variance.turn_wheels_rad2 + variance.turn_both_rad2,
             };
         };
-        let by_gyro = turn_rad - self.mean[GYRO_BIAS] * motion.dt;
-        let gyro_weight = variance.turn_wheels / (variance.turn_wheels + variance.turn_gyro);
+        let by_gyro_rad = turn_rad - self.mean[GYRO_BIAS] * motion.dt_secs;
+        let gyro_weight =
+            variance.turn_wheels_rad2 / (variance.turn_wheels_rad2 + variance.turn_gyro_rad2);
         Turn {
-            by_wheels,
-            by_gyro: Some(by_gyro),
+            by_wheels_rad,
+            by_gyro_rad: Some(by_gyro_rad),
             gyro_weight,
-            mean: gyro_weight * by_gyro + (1.0 - gyro_weight) * by_wheels,
-            variance: gyro_weight * variance.turn_gyro + variance.turn_both,
+            mean_rad: gyro_weight * by_gyro_rad + (1.0 - gyro_weight) * by_wheels_rad,
+            variance_rad2: gyro_weight * variance.turn_gyro_rad2 + variance.turn_both_rad2,
         }
     }
 
@@ -164,15 +165,15 @@ impl State {
     fn measure_turn_difference(&mut self, options: &Options, motion: &Motion) -> Option<Update> {
         let turn = self.turn(options, motion);
         let variance = &motion.variance;
-        let noise = variance.turn_gyro + variance.turn_wheels;
-        let is_resolved = motion.is_still || variance.turn_both < noise;
-        let by_gyro = turn.by_gyro.filter(|_| is_resolved)?;
+        let noise = variance.turn_gyro_rad2 + variance.turn_wheels_rad2;
+        let is_resolved = motion.is_still || variance.turn_both_rad2 < noise;
+        let by_gyro = turn.by_gyro_rad.filter(|_| is_resolved)?;
         let mut h = Vector::zeros();
-        h[GYRO_BIAS] = motion.dt;
-        h[WHEEL_SCALE] = turn.mean / (1.0 + self.mean[WHEEL_SCALE]);
+        h[GYRO_BIAS] = motion.dt_secs;
+        h[WHEEL_SCALE] = turn.mean_rad / (1.0 + self.mean[WHEEL_SCALE]);
         h[WHEEL_DIFFERENCE] = self.turn_by_difference(options, motion);
-        h[TRACK] = turn.mean / (1.0 + self.mean[TRACK]);
-        Some(self.update(options.gate, h, by_gyro - turn.by_wheels, noise))
+        h[TRACK] = turn.mean_rad / (1.0 + self.mean[TRACK]);
+        Some(self.update(options.gate, h, by_gyro - turn.by_wheels_rad, noise))
     }
 
     /// Derivative of the turn measured by the wheels with respect to the wheel difference \[rad\].
@@ -194,8 +195,8 @@ impl State {
         let (scale, difference) = (self.mean[WHEEL_SCALE], self.mean[WHEEL_DIFFERENCE]);
         let distance = (1.0 + scale) * motion.distance_m + 0.5 * difference * motion.difference_m;
 
-        let (sin, cos) = libm::sincos(self.mean[HEADING] + 0.5 * turn.mean);
-        let (sinc, sinc_slope) = sinc(0.5 * turn.mean);
+        let (sin, cos) = libm::sincos(self.mean[HEADING] + 0.5 * turn.mean_rad);
+        let (sinc, sinc_slope) = sinc(0.5 * turn.mean_rad);
         let (dx_m, dy_m) = (distance * sinc * cos, distance * sinc * sin);
         let by_distance = SVector::<f64, POSE>::new(sinc * cos, sinc * sin, 0.0);
         let by_turn = SVector::<f64, POSE>::new(
@@ -210,28 +211,28 @@ impl State {
         distance_by[WHEEL_DIFFERENCE - POSE] = 0.5 * motion.difference_m;
         let wheels_weight = 1.0 - turn.gyro_weight;
         let mut turn_by = SMatrix::<f64, 1, PARAMETERS>::zeros();
-        turn_by[WHEEL_SCALE - POSE] = wheels_weight * turn.mean / (1.0 + scale);
+        turn_by[WHEEL_SCALE - POSE] = wheels_weight * turn.mean_rad / (1.0 + scale);
         turn_by[WHEEL_DIFFERENCE - POSE] = wheels_weight * self.turn_by_difference(options, motion);
-        turn_by[TRACK - POSE] = wheels_weight * turn.mean / (1.0 + self.mean[TRACK]);
-        turn_by[GYRO_BIAS - POSE] = -turn.gyro_weight * motion.dt;
+        turn_by[TRACK - POSE] = wheels_weight * turn.mean_rad / (1.0 + self.mean[TRACK]);
+        turn_by[GYRO_BIAS - POSE] = -turn.gyro_weight * motion.dt_secs;
         let transition = Transition {
             dx_m,
             dy_m,
             by_parameters: by_distance * distance_by + by_turn * turn_by,
-            drift_left: libm::exp(-motion.dt / options.heading_drift_secs),
+            drift_left: libm::exp(-motion.dt_secs / options.heading_drift_secs),
         };
 
         self.mean[0] += dx_m;
         self.mean[1] += dy_m;
-        self.mean[HEADING] += turn.mean;
+        self.mean[HEADING] += turn.mean_rad;
         self.mean[HEADING_DRIFT] *= transition.drift_left;
         transition.apply(&mut self.covariance);
         let mut pose = self.covariance.fixed_view_mut::<POSE, POSE>(0, 0);
-        pose += motion.variance.along * by_distance * by_distance.transpose()
-            + motion.variance.aside * aside * aside.transpose()
-            + turn.variance * by_turn * by_turn.transpose();
+        pose += motion.variance.along_m2 * by_distance * by_distance.transpose()
+            + motion.variance.aside_m2 * aside * aside.transpose()
+            + turn.variance_rad2 * by_turn * by_turn.transpose();
         let walk = options.gyro_bias_walk;
-        self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * motion.dt;
+        self.covariance[(GYRO_BIAS, GYRO_BIAS)] += walk * walk * motion.dt_secs;
         let std = options.heading_drift_std;
         self.covariance[(HEADING_DRIFT, HEADING_DRIFT)] +=
             std * std * (1.0 - transition.drift_left * transition.drift_left);

@@ -25,21 +25,21 @@ pub(crate) fn is_gravity(norm_m_s2: f64) -> bool {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct GravityEstimate {
     /// Sum of the accelerations \[m/s^2\].
-    sum: [f64; 3],
+    sum_m_s2: [f64; 3],
     n: u32,
 }
 
 impl GravityEstimate {
     /// Adds a measured acceleration (specific force) in the IMU frame \[m/s^2\].
-    pub fn add(&mut self, acceleration: [f64; 3]) {
+    pub fn add(&mut self, acceleration_m_s2: [f64; 3]) {
         self.n += 1;
-        self.sum = std::array::from_fn(|axis| self.sum[axis] + acceleration[axis]);
+        self.sum_m_s2 = std::array::from_fn(|axis| self.sum_m_s2[axis] + acceleration_m_s2[axis]);
     }
 
     /// The direction up in the IMU frame, a unit vector: the direction of the mean acceleration. If
     /// the norm of the mean differs from gravity by more than 10 %, it is the z axis.
     pub fn up(&self) -> [f64; 3] {
-        let mean = self.sum.map(|v| v / f64::from(self.n.max(1)));
+        let mean = self.sum_m_s2.map(|v| v / f64::from(self.n.max(1)));
         let norm = mean.iter().map(|v| v * v).sum::<f64>().sqrt();
         match is_gravity(norm) {
             true => mean.map(|v| v / norm),

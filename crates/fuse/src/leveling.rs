@@ -25,10 +25,10 @@ pub struct InertialReading {
     /// \[ns since the epoch\]
     pub stamp_ns: i64,
     /// \[rad/s\]
-    pub angular_velocity: [f64; 3],
+    pub angular_velocity_rad_s: [f64; 3],
     /// Specific force \[m/s^2\]. At rest it is the reaction to gravity and points up. `None` if the
     /// IMU has no accelerometer.
-    pub acceleration: Option<[f64; 3]>,
+    pub acceleration_m_s2: Option<[f64; 3]>,
 }
 
 /// Computes the rate about the vertical for every reading \[rad/s\]: the projection of the angular
@@ -50,7 +50,7 @@ pub struct InertialReading {
 /// direction up is the z axis.
 pub fn yaw_rates_rad_s(readings: &[InertialReading], wheels: &[WheelSample]) -> Vec<f64> {
     if !has_gravity(readings) {
-        return readings.iter().map(|reading| reading.angular_velocity[2]).collect();
+        return readings.iter().map(|reading| reading.angular_velocity_rad_s[2]).collect();
     }
     let speeds = speeds(readings, wheels);
     let n = readings.len();
@@ -77,7 +77,7 @@ pub fn yaw_rates_rad_s(readings: &[InertialReading], wheels: &[WheelSample]) -> 
         }
         let up = (level.up + ups[k]).try_normalize(f64::EPSILON).unwrap_or(level.up);
         let across = level.bias - mean_up * level.bias.dot(&mean_up);
-        rates.push((Vector3::from(readings[k].angular_velocity) - across).dot(&up));
+        rates.push((Vector3::from(readings[k].angular_velocity_rad_s) - across).dot(&up));
     }
     rates
 }
@@ -116,7 +116,7 @@ impl Level {
         let forward = self.forward[0] * e + self.forward[1] * n;
         let leftward = speed.m_s * (rate(reading) - self.bias).dot(&self.up);
         let driven = speed.change_m_s2 * forward + leftward * self.up.cross(&forward);
-        (finite(reading.acceleration?)? - driven).try_normalize(f64::EPSILON)
+        (finite(reading.acceleration_m_s2?)? - driven).try_normalize(f64::EPSILON)
     }
 }
 
@@ -132,7 +132,7 @@ struct Speed {
 fn speeds(readings: &[InertialReading], wheels: &[WheelSample]) -> Vec<Speed> {
     let wheels = in_order(wheels, &mut Losses::default());
     let speed_at = |stamp_ns: i64| {
-        let mean = |sample: &WheelSample| 0.5 * (sample.left_m_per_s + sample.right_m_per_s);
+        let mean = |sample: &WheelSample| 0.5 * (sample.left_m_s + sample.right_m_s);
         let after = wheels.partition_point(|sample| sample.stamp_ns <= stamp_ns);
         match (after.checked_sub(1).map(|k| &wheels[k]), wheels.get(after)) {
             (Some(a), Some(b)) => {
@@ -164,7 +164,7 @@ fn forward(
 ) -> [f64; 2] {
     let (mut sum, mut sum_of_squares) = ([0.0; 2], 0.0);
     for ((reading, speed), up) in readings.iter().zip(speeds).zip(ups) {
-        let Some(acceleration) = reading.acceleration.and_then(finite) else { continue };
+        let Some(acceleration) = reading.acceleration_m_s2.and_then(finite) else { continue };
         let (change, leftward) = (speed.change_m_s2, speed.m_s * (rate(reading) - bias).dot(up));
         let [e, n] = level_axes(up).map(|axis| axis.dot(&acceleration));
         sum[0] += change * e + leftward * n;
@@ -187,21 +187,23 @@ fn finite(vector: [f64; 3]) -> Option<Vector3<f64>> {
 }
 
 fn rate(reading: &InertialReading) -> Vector3<f64> {
-    finite(reading.angular_velocity).unwrap_or_default()
+    finite(reading.angular_velocity_rad_s).unwrap_or_default()
 }
 
 /// Mean direction of the accelerations in the first seconds.
 fn first_up(readings: &[InertialReading]) -> Vector3<f64> {
     let is_early =
         |r: &&InertialReading| seconds(readings[0].stamp_ns, r.stamp_ns).abs() <= 0.5 * MEMORY_SECS;
-    let accelerations = readings.iter().filter(is_early).filter_map(|r| finite(r.acceleration?));
+    let accelerations =
+        readings.iter().filter(is_early).filter_map(|r| finite(r.acceleration_m_s2?));
     let sum: Vector3<f64> = accelerations.sum();
     sum.try_normalize(f64::EPSILON).unwrap_or_else(Vector3::z)
 }
 
 /// Whether the median norm of all accelerations is that of gravity.
 fn has_gravity(readings: &[InertialReading]) -> bool {
-    let norms = readings.iter().filter_map(|r| r.acceleration).map(|a| Vector3::from(a).norm());
+    let norms =
+        readings.iter().filter_map(|r| r.acceleration_m_s2).map(|a| Vector3::from(a).norm());
     let mut norms: Vec<f64> = norms.filter(|norm| norm.is_finite()).collect();
     if norms.is_empty() {
         return false;
@@ -256,10 +258,10 @@ mod tests {
                 let rolling = [slope(roll), 0.0, 0.0];
                 InertialReading {
                     stamp_ns: (k * 1_000_000_000 / HZ) as i64,
-                    angular_velocity: std::array::from_fn(|k| {
+                    angular_velocity_rad_s: std::array::from_fn(|k| {
                         yaw[k] + pitching[k] + rolling[k] + bias[k]
                     }),
-                    acceleration: Some(in_imu_frame(
+                    acceleration_m_s2: Some(in_imu_frame(
                         [slope(speed), speed(t) * yaw_rate(t), GRAVITY_M_S2],
                         r,
                         p,
@@ -282,8 +284,8 @@ mod tests {
         let half_root = 0.75f64.sqrt();
         let reading = |stamp_ns| InertialReading {
             stamp_ns,
-            angular_velocity: [0.0, 0.4, 0.8 * half_root],
-            acceleration: Some([0.0, 0.5 * GRAVITY_M_S2, half_root * GRAVITY_M_S2]),
+            angular_velocity_rad_s: [0.0, 0.4, 0.8 * half_root],
+            acceleration_m_s2: Some([0.0, 0.5 * GRAVITY_M_S2, half_root * GRAVITY_M_S2]),
         };
         for rate in yaw_rates_rad_s(&[reading(0), reading(10_000_000), reading(20_000_000)], &[]) {
             assert!((rate - 0.8).abs() < 1e-12, "{rate}");
@@ -303,7 +305,7 @@ mod tests {
             .map(|k| {
                 let m_s = speed(f64::from(k) / 50.0);
                 let stamp_ns = i64::from(k) * 20_000_000;
-                WheelSample { stamp_ns, left_m_per_s: m_s, right_m_per_s: m_s }
+                WheelSample { stamp_ns, left_m_s: m_s, right_m_s: m_s }
             })
             .collect();
         for (roll, is_backwards) in [(0.0, false), (PI, false), (0.7, false), (0.7, true)] {
@@ -311,8 +313,8 @@ mod tests {
             let mut readings = readings(600.0, &|_| roll, &lean, &yaw_rate, &speed, biases);
             let backwards = |[x, y, z]: [f64; 3]| [-x, -y, z];
             for reading in readings.iter_mut().filter(|_| is_backwards) {
-                reading.angular_velocity = backwards(reading.angular_velocity);
-                reading.acceleration = reading.acceleration.map(backwards);
+                reading.angular_velocity_rad_s = backwards(reading.angular_velocity_rad_s);
+                reading.acceleration_m_s2 = reading.acceleration_m_s2.map(backwards);
             }
             // The bias about the vertical remains; the Kalman filter calibrates it.
             let biased_rad = 600.0 * (0.002 * roll.cos() - 0.015 * roll.sin());
@@ -320,7 +322,7 @@ mod tests {
             let found = error(&yaw_rates_rad_s(&readings, &wheels));
             let fixed: Vec<f64> = (readings.iter())
                 .map(|reading| {
-                    let [_, y, z] = reading.angular_velocity;
+                    let [_, y, z] = reading.angular_velocity_rad_s;
                     let y = if is_backwards { -y } else { y };
                     z * roll.cos() + y * roll.sin()
                 })
@@ -338,10 +340,10 @@ mod tests {
 
     #[test]
     fn without_gravity_the_yaw_rate_is_the_rate_about_z() {
-        let reading = |acceleration| InertialReading {
+        let reading = |acceleration_m_s2| InertialReading {
             stamp_ns: 0,
-            angular_velocity: [1.0, 2.0, 3.0],
-            acceleration,
+            angular_velocity_rad_s: [1.0, 2.0, 3.0],
+            acceleration_m_s2,
         };
         assert!(yaw_rates_rad_s(&[], &[]).is_empty());
         for acceleration in [None, Some([0.1, 0.0, 0.0]), Some([0.0; 3]), Some([f64::NAN; 3])] {
@@ -352,9 +354,9 @@ mod tests {
     #[test]
     fn a_value_that_is_not_finite_affects_only_its_own_reading() {
         let mut some = readings(20.0, &|_| 0.3, &|_| 0.1, &|_| 0.5, &|_| 0.0, [0.0; 3]);
-        some[700].angular_velocity[1] = f64::NAN;
-        some[900].acceleration = Some([f64::INFINITY, 0.0, 1.0]);
-        some[1000].acceleration = None;
+        some[700].angular_velocity_rad_s[1] = f64::NAN;
+        some[900].acceleration_m_s2 = Some([f64::INFINITY, 0.0, 1.0]);
+        some[1000].acceleration_m_s2 = None;
         let rates = yaw_rates_rad_s(&some, &[]);
         assert_eq!(rates.iter().filter(|rate| rate.is_nan()).count(), 1);
         let far = rates.iter().filter(|rate| 1e-2 < (*rate - 0.5).abs()).count();

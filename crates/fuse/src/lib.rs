@@ -46,7 +46,7 @@
 //!
 //! // 1 m/s straight ahead for 2 s.
 //! let wheels: Vec<WheelSample> = (0..=100)
-//!     .map(|k| WheelSample { stamp_ns: k * 20_000_000, left_m_per_s: 1.0, right_m_per_s: 1.0 })
+//!     .map(|k| WheelSample { stamp_ns: k * 20_000_000, left_m_s: 1.0, right_m_s: 1.0 })
 //!     .collect();
 //! let options = Options { track_m: 0.5, ..Options::default() };
 //! let fused = fuse(&options, &wheels, &[], None, None)?;

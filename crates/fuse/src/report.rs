@@ -63,7 +63,7 @@ impl Report {
                 .iter()
                 .filter(|step| is_counted(step.motion.is_still))
                 // `fold` from 0.0, because `sum` of an empty iterator is -0.0.
-                .fold(0.0, |secs, step| secs + step.motion.dt)
+                .fold(0.0, |secs, step| secs + step.motion.dt_secs)
         };
         let duration_secs = steps_secs(&|_| true);
         let last =

@@ -4,9 +4,9 @@ pub struct WheelSample {
     /// \[ns since the epoch\]
     pub stamp_ns: i64,
     /// \[m/s\]
-    pub left_m_per_s: f64,
+    pub left_m_s: f64,
     /// \[m/s\]
-    pub right_m_per_s: f64,
+    pub right_m_s: f64,
 }
 
 /// The yaw rate and the heading measured by an IMU.
@@ -26,17 +26,12 @@ impl WheelSample {
     /// Computes the wheel speeds from the twist of an odometry message: the forward speed of the
     /// midpoint between the wheels, and the yaw rate that was computed with the track width
     /// `track_m`.
-    pub fn from_twist(
-        stamp_ns: i64,
-        forward_m_per_s: f64,
-        yaw_rate_rad_s: f64,
-        track_m: f64,
-    ) -> Self {
+    pub fn from_twist(stamp_ns: i64, forward_m_s: f64, yaw_rate_rad_s: f64, track_m: f64) -> Self {
         let half_difference = 0.5 * track_m * yaw_rate_rad_s;
         Self {
             stamp_ns,
-            left_m_per_s: forward_m_per_s - half_difference,
-            right_m_per_s: forward_m_per_s + half_difference,
+            left_m_s: forward_m_s - half_difference,
+            right_m_s: forward_m_s + half_difference,
         }
     }
 
@@ -52,8 +47,8 @@ impl WheelSample {
                 let dt = dt_ns as f64 * 1e-9;
                 Self {
                     stamp_ns: from_ns.saturating_add(dt_ns / 2),
-                    left_m_per_s: (next_left - left) / dt,
-                    right_m_per_s: (next_right - right) / dt,
+                    left_m_s: (next_left - left) / dt,
+                    right_m_s: (next_right - right) / dt,
                 }
             })
             .collect()

@@ -29,7 +29,7 @@ impl Sampled<2> for WheelSample {
         self.stamp_ns
     }
     fn values(&self) -> [f64; 2] {
-        [self.left_m_per_s, self.right_m_per_s]
+        [self.left_m_s, self.right_m_s]
     }
 }
 
@@ -76,8 +76,8 @@ pub(crate) struct Integral<const N: usize> {
     pub(crate) values: [f64; N],
     /// The largest absolute value in the span.
     pub(crate) largest: f64,
-    /// Integral of [`missed_variance`] over the span \[s^3\].
-    pub(crate) missed: f64,
+    /// Integral of [`missed_variance_s2`] over the span \[s^3\].
+    pub(crate) missed_s3: f64,
 }
 
 /// A signal that is linear between two samples. It is read from front to back.
@@ -103,22 +103,22 @@ impl<'a, S: Sampled<N>, const N: usize> Signal<'a, S, N> {
         while self.samples.get(self.at + 1).is_some_and(|next| next.stamp_ns() <= from_ns) {
             self.at += 1;
         }
-        let mut integral = Integral { values: [0.0; N], largest: 0.0, missed: 0.0 };
+        let mut integral = Integral { values: [0.0; N], largest: 0.0, missed_s3: 0.0 };
         let mut from_ns = from_ns;
         while from_ns < to_ns {
             let (before, after) = (&self.samples[self.at], &self.samples[self.at + 1]);
             let until_ns = to_ns.min(after.stamp_ns());
             let gap = seconds(before.stamp_ns(), after.stamp_ns());
-            let dt = seconds(from_ns, until_ns);
+            let dt_secs = seconds(from_ns, until_ns);
             let share = |stamp_ns| seconds(before.stamp_ns(), stamp_ns) / gap;
             let (a, b) = (share(from_ns), share(until_ns));
             for (k, (before, after)) in before.values().into_iter().zip(after.values()).enumerate()
             {
                 let value = |share: f64| before + share * (after - before);
-                integral.values[k] += 0.5 * (value(a) + value(b)) * dt;
+                integral.values[k] += 0.5 * (value(a) + value(b)) * dt_secs;
                 integral.largest = integral.largest.max(value(a).abs()).max(value(b).abs());
             }
-            integral.missed += missed_variance(gap, self.response_secs) * dt;
+            integral.missed_s3 += missed_variance_s2(gap, self.response_secs) * dt_secs;
             if until_ns == after.stamp_ns() && self.at + 2 < self.samples.len() {
                 self.at += 1;
             }
@@ -137,7 +137,7 @@ impl<'a, S: Sampled<N>, const N: usize> Signal<'a, S, N> {
 /// gap^5 / (120 response^2). A first-order Gauss-Markov acceleration of that density behaves like
 /// the first case over long gaps and like the second case over short gaps. This formula blends the
 /// two.
-fn missed_variance(gap: f64, response: f64) -> f64 {
+fn missed_variance_s2(gap: f64, response: f64) -> f64 {
     let square = gap * gap;
     square / 12.0 * (square / (square + 10.0 * response * response))
 }

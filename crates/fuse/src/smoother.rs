@@ -164,8 +164,8 @@ mod tests {
         let wheels: Vec<_> = (0..1200)
             .map(|k| WheelSample {
                 stamp_ns: stamp_ns(k, 20),
-                left_m_per_s: 1.0 + 0.2 * libm::sin(0.05 * k as f64),
-                right_m_per_s: 1.1 - 0.3 * libm::sin(0.02 * k as f64),
+                left_m_s: 1.0 + 0.2 * libm::sin(0.05 * k as f64),
+                right_m_s: 1.1 - 0.3 * libm::sin(0.02 * k as f64),
             })
             .collect();
         let imu: Vec<_> = (0..2400)
@@ -234,9 +234,9 @@ mod tests {
         }
         let mut step = steps.steps[40];
         (step.window, step.heading_rad) = (None, None);
-        step.motion.dt = 0.5;
+        step.motion.dt_secs = 0.5;
         step.motion.distance_m *= 10.0;
-        step.motion.variance.turn_gyro = step.motion.variance.turn_wheels; // equal weights
+        step.motion.variance.turn_gyro_rad2 = step.motion.variance.turn_wheels_rad2; // equal weights
         let moved = |nudge: &Vector| {
             let mut state = state;
             state.mean += nudge;

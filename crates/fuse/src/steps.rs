@@ -33,7 +33,7 @@ pub(crate) struct Step {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Motion {
     /// \[s\]
-    pub(crate) dt: f64,
+    pub(crate) dt_secs: f64,
     /// Path of the midpoint between the wheels \[m\].
     pub(crate) distance_m: f64,
     /// Path of the right wheel minus path of the left wheel \[m\].
@@ -51,16 +51,16 @@ pub(crate) struct Motion {
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Variance {
     /// Of the forward distance \[m^2\].
-    pub(crate) along: f64,
+    pub(crate) along_m2: f64,
     /// Of the sideways distance \[m^2\].
-    pub(crate) aside: f64,
+    pub(crate) aside_m2: f64,
     /// Of the turn measured by the wheels, without the shared part \[rad^2\].
-    pub(crate) turn_wheels: f64,
+    pub(crate) turn_wheels_rad2: f64,
     /// Of the turn measured by the gyroscope, without the shared part; infinite without a gyroscope
     /// \[rad^2\].
-    pub(crate) turn_gyro: f64,
+    pub(crate) turn_gyro_rad2: f64,
     /// Of the part of the turn that both sources miss \[rad^2\].
-    pub(crate) turn_both: f64,
+    pub(crate) turn_both_rad2: f64,
 }
 
 /// The result of [`steps`].
@@ -140,7 +140,12 @@ pub(crate) fn steps(
 }
 
 impl Motion {
-    fn new(options: &Options, dt: f64, wheels: &Integral<2>, gyro: Option<&Integral<1>>) -> Self {
+    fn new(
+        options: &Options,
+        dt_secs: f64,
+        wheels: &Integral<2>,
+        gyro: Option<&Integral<1>>,
+    ) -> Self {
         let square = |value: f64| value * value;
         let [left, right] = wheels.values.map(|path_m| options.wheel_scale * path_m);
         let distance_m = 0.5 * (left + right);
@@ -150,26 +155,28 @@ impl Motion {
         let wheel = match is_still {
             true => 0.0,
             false => {
-                square(options.wheel_noise_density) * dt
+                square(options.wheel_noise_density) * dt_secs
                     + square(options.wheel_slip) * 0.5 * (left.abs() + right.abs())
             }
         };
         let turn_missed = |missed: f64| square(options.yaw_acceleration_density) * missed;
-        let both_missed = gyro.map_or(wheels.missed, |gyro| wheels.missed.min(gyro.missed));
+        let both_missed =
+            gyro.map_or(wheels.missed_s3, |gyro| wheels.missed_s3.min(gyro.missed_s3));
         Self {
-            dt,
+            dt_secs,
             distance_m,
             difference_m: right - left,
             turn_rad: gyro.map(|gyro| gyro.values[0]),
             variance: Variance {
-                along: 0.5 * wheel + square(options.acceleration_density) * wheels.missed,
-                aside: square(options.side_slip) * distance_m.abs(),
-                turn_wheels: 2.0 * wheel / square(options.track_m)
-                    + turn_missed(wheels.missed - both_missed),
-                turn_gyro: gyro.map_or(f64::INFINITY, |gyro| {
-                    square(options.gyro_noise_density) * dt + turn_missed(gyro.missed - both_missed)
+                along_m2: 0.5 * wheel + square(options.acceleration_density) * wheels.missed_s3,
+                aside_m2: square(options.side_slip) * distance_m.abs(),
+                turn_wheels_rad2: 2.0 * wheel / square(options.track_m)
+                    + turn_missed(wheels.missed_s3 - both_missed),
+                turn_gyro_rad2: gyro.map_or(f64::INFINITY, |gyro| {
+                    square(options.gyro_noise_density) * dt_secs
+                        + turn_missed(gyro.missed_s3 - both_missed)
                 }),
-                turn_both: turn_missed(both_missed),
+                turn_both_rad2: turn_missed(both_missed),
             },
             is_still,
         }
@@ -180,16 +187,16 @@ impl Motion {
     fn plus(&self, next: &Self) -> Option<Self> {
         let turn_rad = self.turn_rad? + next.turn_rad?;
         (self.is_still == next.is_still).then_some(Self {
-            dt: self.dt + next.dt,
+            dt_secs: self.dt_secs + next.dt_secs,
             distance_m: self.distance_m + next.distance_m,
             difference_m: self.difference_m + next.difference_m,
             turn_rad: Some(turn_rad),
             variance: Variance {
-                along: self.variance.along + next.variance.along,
-                aside: self.variance.aside + next.variance.aside,
-                turn_wheels: self.variance.turn_wheels + next.variance.turn_wheels,
-                turn_gyro: self.variance.turn_gyro + next.variance.turn_gyro,
-                turn_both: self.variance.turn_both + next.variance.turn_both,
+                along_m2: self.variance.along_m2 + next.variance.along_m2,
+                aside_m2: self.variance.aside_m2 + next.variance.aside_m2,
+                turn_wheels_rad2: self.variance.turn_wheels_rad2 + next.variance.turn_wheels_rad2,
+                turn_gyro_rad2: self.variance.turn_gyro_rad2 + next.variance.turn_gyro_rad2,
+                turn_both_rad2: self.variance.turn_both_rad2 + next.variance.turn_both_rad2,
             },
             is_still: self.is_still,
         })
@@ -215,7 +222,7 @@ fn windows(steps: &mut [Step]) -> Vec<Motion> {
             }
             _ => {}
         }
-        is_open = steps[k].window.is_some_and(|window| windows[window].dt < WINDOW_SECS);
+        is_open = steps[k].window.is_some_and(|window| windows[window].dt_secs < WINDOW_SECS);
     }
     windows
 }

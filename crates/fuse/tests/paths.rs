@@ -16,8 +16,8 @@ fn options() -> Options {
 fn constant(left: f64, right: f64, yaw_rate: f64, secs: u32) -> (Vec<WheelSample>, Vec<ImuSample>) {
     let wheels = (0..=50 * secs).map(|k| WheelSample {
         stamp_ns: stamp_ns(f64::from(k) / 50.0),
-        left_m_per_s: left,
-        right_m_per_s: right,
+        left_m_s: left,
+        right_m_s: right,
     });
     let imu = (0..=100 * secs).map(|k| ImuSample {
         stamp_ns: stamp_ns(f64::from(k) / 100.0),
@@ -72,14 +72,14 @@ fn a_turn_on_the_spot_changes_only_the_heading() {
 #[test]
 fn odometry_twists_and_wheel_positions_are_converted_to_speeds() {
     let sample = WheelSample::from_twist(7, 1.0, 0.2, 0.5);
-    assert_eq!((sample.left_m_per_s, sample.right_m_per_s), (0.95, 1.05));
+    assert_eq!((sample.left_m_s, sample.right_m_s), (0.95, 1.05));
     // 0.1 m in 0.1 s, then 0.4 m in 0.2 s. The stamps are halfway.
     let positions = [(0, 0.0, 1.0), (100_000_000, 0.1, 1.0), (300_000_000, 0.5, 0.6)];
     let [first, second] = WheelSample::from_positions(&positions)[..] else { panic!("2") };
     assert_eq!((first.stamp_ns, second.stamp_ns), (50_000_000, 200_000_000));
-    assert!((first.left_m_per_s - 1.0).abs() < 1e-12 && first.right_m_per_s == 0.0);
-    assert!((second.left_m_per_s - 2.0).abs() < 1e-12);
-    assert!((second.right_m_per_s + 2.0).abs() < 1e-12);
+    assert!((first.left_m_s - 1.0).abs() < 1e-12 && first.right_m_s == 0.0);
+    assert!((second.left_m_s - 2.0).abs() < 1e-12);
+    assert!((second.right_m_s + 2.0).abs() < 1e-12);
 }
 
 #[test]
@@ -180,7 +180,7 @@ fn invalid_stamps_and_values_are_counted() {
     let (mut wheels, mut imu) = constant(1.0, 1.0, 0.0, 2);
     wheels[10].stamp_ns = wheels[9].stamp_ns;
     wheels[20].stamp_ns -= 100_000_000;
-    wheels[30].left_m_per_s = f64::NAN;
+    wheels[30].left_m_s = f64::NAN;
     imu[5].stamp_ns = imu[4].stamp_ns;
     let end_ns = stamp_ns(2.0);
     let stamps = [stamp_ns(1.5), stamp_ns(0.333), stamp_ns(-1.0), end_ns + 1, stamp_ns(1.5)];

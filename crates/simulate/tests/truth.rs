@@ -187,16 +187,16 @@ fn fused_poses_stay_within_half_a_percent_of_the_distance() {
                 .iter()
                 .map(|reading| WheelSample {
                     stamp_ns: reading.stamp_ns,
-                    left_m_per_s: reading.velocities[0],
-                    right_m_per_s: reading.velocities[1],
+                    left_m_s: reading.velocities[0],
+                    right_m_s: reading.velocities[1],
                 })
                 .collect();
             let inertial: Vec<InertialReading> = imu
                 .iter()
                 .map(|reading| InertialReading {
                     stamp_ns: reading.stamp_ns,
-                    angular_velocity: reading.angular_velocity,
-                    acceleration: reading.linear_acceleration,
+                    angular_velocity_rad_s: reading.angular_velocity,
+                    acceleration_m_s2: reading.linear_acceleration,
                 })
                 .collect();
             let imu: Vec<ImuSample> =

@@ -89,8 +89,8 @@ pub fn drive(options: &Options, drive: &Drive, errors: Errors, noise: f64, seed:
         let (scale, difference) = (1.0 + errors.wheel_scale, errors.wheel_difference);
         WheelSample {
             stamp_ns: stamp_ns(secs),
-            left_m_per_s: measured(v - half, scale - difference),
-            right_m_per_s: measured(v + half, scale + difference),
+            left_m_s: measured(v - half, scale - difference),
+            right_m_s: measured(v + half, scale + difference),
         }
     });
     let wheels = wheels.collect();

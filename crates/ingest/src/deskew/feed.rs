@@ -68,10 +68,10 @@ impl PoseFeed {
                 (next.wheel_speeds.iter().chain(&speeds))
                     .for_each(|&wheels| dead_reckoning.add_wheels(wheels));
                 for inertial in next.imu.iter().map(|reading| reading.inertial) {
-                    if let Some(acceleration) = inertial.acceleration {
+                    if let Some(acceleration) = inertial.acceleration_m_s2 {
                         gravity.add(acceleration);
                     }
-                    let rates = inertial.angular_velocity.iter().zip(gravity.up());
+                    let rates = inertial.angular_velocity_rad_s.iter().zip(gravity.up());
                     let yaw_rate_rad_s = rates.map(|(rate, up)| rate * up).sum();
                     dead_reckoning.add_yaw_rate(inertial.stamp_ns, yaw_rate_rad_s);
                 }

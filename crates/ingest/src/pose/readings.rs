@@ -48,8 +48,8 @@ impl MotionReadings {
                 let imu = read_imu(source, data).map_err(undecodable)?;
                 let inertial = InertialReading {
                     stamp_ns: imu.stamp_ns,
-                    angular_velocity: imu.angular_velocity,
-                    acceleration: imu.linear_acceleration,
+                    angular_velocity_rad_s: imu.angular_velocity,
+                    acceleration_m_s2: imu.linear_acceleration,
                 };
                 let heading_rad = imu.orientation.filter(|_| options.use_heading).map(yaw_rad);
                 self.imu.push(ImuReading { inertial, heading_rad });
@@ -97,12 +97,8 @@ impl MotionReadings {
             (n > 0).then(|| sum / f64::from(n) * options.wheel_radius_m.unwrap_or(1.0))
         };
         let both = |values: &[f64]| Some((mean("left", values)?, mean("right", values)?));
-        if let Some((left_m_per_s, right_m_per_s)) = both(&joints.velocities) {
-            self.wheel_speeds.push(WheelSample {
-                stamp_ns: joints.stamp_ns,
-                left_m_per_s,
-                right_m_per_s,
-            });
+        if let Some((left_m_s, right_m_s)) = both(&joints.velocities) {
+            self.wheel_speeds.push(WheelSample { stamp_ns: joints.stamp_ns, left_m_s, right_m_s });
         } else if let Some((left_m, right_m)) = both(&joints.positions) {
             self.wheel_positions.push((joints.stamp_ns, left_m, right_m));
         } else {
@@ -171,7 +167,7 @@ mod tests {
         let names = ["rear_Right", "front_left", "rear_left", "front_Right"];
         add_joints(&mut readings, &names, &[4.0, 1.0, 2.0, 6.0], &[]).unwrap();
         let sample = readings.wheel_speeds[0];
-        assert_eq!((sample.stamp_ns, sample.left_m_per_s, sample.right_m_per_s), (7, 0.75, 2.5));
+        assert_eq!((sample.stamp_ns, sample.left_m_s, sample.right_m_s), (7, 0.75, 2.5));
     }
 
     #[test]

@@ -231,12 +231,12 @@ mod tests {
             let stamp_ns = k * 10_000_000;
             let inertial = InertialReading {
                 stamp_ns,
-                angular_velocity: [0.0, 0.0, -yaw_rate],
-                acceleration: Some([0.0, 0.0, -9.81]),
+                angular_velocity_rad_s: [0.0, 0.0, -yaw_rate],
+                acceleration_m_s2: Some([0.0, 0.0, -9.81]),
             };
             readings.imu.push(ImuReading { inertial, heading_rad: None });
-            let (left_m_per_s, right_m_per_s) = (yaw_rate * 1.75, yaw_rate * 2.25);
-            readings.wheel_speeds.push(WheelSample { stamp_ns, left_m_per_s, right_m_per_s });
+            let (left_m_s, right_m_s) = (yaw_rate * 1.75, yaw_rate * 2.25);
+            readings.wheel_speeds.push(WheelSample { stamp_ns, left_m_s, right_m_s });
         }
         let fused = fuse_readings(&readings, &options()).unwrap();
         let end = fused.poses.last().unwrap();
