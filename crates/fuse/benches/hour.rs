@@ -2,7 +2,8 @@
 //!
 //! `cargo bench -p fuse --bench hour`
 //!
-//! The benchmark also checks its results: the error at the end of the path agrees with its covariance.
+//! The benchmark also checks its results: the error at the end of the path agrees with its
+//! covariance.
 
 #[path = "../tests/support/mod.rs"]
 mod support;

@@ -9,8 +9,8 @@ use crate::steps::{Motion, Step};
 pub(crate) const N: usize = POSE + PARAMETERS;
 /// Number of pose states: x \[m\], y \[m\] and heading, not wrapped \[rad\].
 pub(crate) const POSE: usize = 3;
-/// Number of parameters. Each is a constant, a random walk or a Gauss-Markov process; the motion does
-/// not change them.
+/// Number of parameters. Each is a constant, a random walk or a Gauss-Markov process; the motion
+/// does not change them.
 const PARAMETERS: usize = 8;
 
 pub(crate) const HEADING: usize = 2;
@@ -151,17 +151,23 @@ impl State {
         }
     }
 
-    /// Compares the turns of gyroscope and wheels. They differ because of the gyroscope bias and the
-    /// errors of the wheel parameters.
+    /// Compares the turns of gyroscope and wheels. They differ because of the gyroscope bias and
+    /// the errors of the wheel parameters.
     ///
     /// Two measurements of one turn with independent errors a and b of the variances p and q have a
     /// difference that is uncorrelated with their mean, weighted by 1/p and 1/q:
-    /// cov((q a + p b) / (p + q), a - b) = (q p - p q) / (p + q) = 0. Therefore this update can use
-    /// the difference for the parameters, and [`predict`](Self::predict) can use the mean for the
-    /// pose. The derivative is also evaluated at the mean. With the turn of the wheels alone, its
-    /// error would correlate with the difference and bias the scale toward 0 (regression dilution;
-    /// Fuller 1987, "Measurement error models", sec. 1.1). For the same reason the update is skipped
-    /// if the samples are too sparse for the motion and both turns are mostly error.
+    ///
+    /// ```text
+    /// cov((q a + p b) / (p + q), a - b) = (q p - p q) / (p + q) = 0
+    /// ```
+    ///
+    /// Therefore this update can use the difference for the parameters, and
+    /// [`predict`](Self::predict) can use the mean for the pose.
+    ///
+    /// The derivative is also evaluated at the mean. With the turn of the wheels alone, its error
+    /// would correlate with the difference and bias the scale toward 0 (regression dilution; Fuller
+    /// 1987, "Measurement error models", sec. 1.1). For the same reason the update is skipped if
+    /// the samples are too sparse for the motion and both turns are mostly error.
     fn measure_turn_difference(&mut self, options: &Options, motion: &Motion) -> Option<Update> {
         let turn = self.turn(options, motion);
         let variance = &motion.variance;
@@ -239,9 +245,9 @@ impl State {
         transition
     }
 
-    /// Updates the state with a measured heading. It is the heading in the frame of the poses plus an
-    /// offset, a drift, and a deviation that depends on the heading: the coefficients B and C of the
-    /// deviation of a compass (NGA, "Handbook of magnetic compass adjustment", Pub. 226).
+    /// Updates the state with a measured heading. It is the heading in the frame of the poses plus
+    /// an offset, a drift, and a deviation that depends on the heading: the coefficients B and C of
+    /// the deviation of a compass (NGA, "Handbook of magnetic compass adjustment", Pub. 226).
     pub(crate) fn measure_heading(&mut self, options: &Options, heading_rad: f64) -> Update {
         let mean = &self.mean;
         let (sin, cos) = libm::sincos(mean[HEADING]);
@@ -262,8 +268,8 @@ impl State {
     }
 
     /// Kalman update with a scalar (Särkkä 2013, "Bayesian filtering and smoothing", eq. 5.27). For
-    /// an innovation beyond the gate, the noise is raised until the innovation is at the gate (Chang
-    /// 2014, see [`Options::gate`]).
+    /// an innovation beyond the gate, the noise is raised until the innovation is at the gate
+    /// (Chang 2014, see [`Options::gate`]).
     fn update(&mut self, gate: f64, h: Vector, innovation: f64, noise: f64) -> Update {
         let p_h = self.covariance * h;
         let expected = h.dot(&p_h) + noise;

@@ -88,8 +88,8 @@ struct Level {
     up: Vector3<f64>,
     /// Gyroscope bias, only its part perpendicular to the direction up \[rad/s\].
     bias: Vector3<f64>,
-    /// Forward direction, along the two axes of [`level_axes`]. Its length is 1 if accelerations and
-    /// wheels agree, and less if they do not.
+    /// Forward direction, along the two axes of [`level_axes`]. Its length is 1 if accelerations
+    /// and wheels agree, and less if they do not.
     forward: [f64; 2],
 }
 
@@ -174,8 +174,8 @@ fn forward(
     if 0.0 < sum_of_squares { sum.map(|sum| sum / sum_of_squares) } else { [0.0; 2] }
 }
 
-/// Two horizontal axes in the IMU frame. The first is the horizontal part of the IMU's x axis, or of
-/// its y axis if x is close to vertical. The second is to the left of the first.
+/// Two horizontal axes in the IMU frame. The first is the horizontal part of the IMU's x axis, or
+/// of its y axis if x is close to vertical. The second is to the left of the first.
 fn level_axes(up: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = if up.x * up.x < 0.7 { Vector3::x() } else { Vector3::y() };
     let level = (first - up * up.dot(&first)).normalize();
@@ -232,9 +232,10 @@ mod tests {
     const HZ: usize = 100;
 
     /// Readings at 100 Hz of an IMU on a robot; roll, pitch, yaw rate and speed are functions of
-    /// time. The IMU is pitched by p (about y, forward down), then rolled by r (about its own x). In
-    /// its frame a horizontal vector is rotated by -p about y, then by -r about x. Its angular
-    /// velocity is the yaw rate in that frame, plus p' about y in the rolled frame, plus r' about x.
+    /// time. The IMU is pitched by p (about y, forward down), then rolled by r (about its own x).
+    /// In its frame a horizontal vector is rotated by -p about y, then by -r about x. Its angular
+    /// velocity is the yaw rate in that frame, plus p' about y in the rolled frame, plus r' about
+    /// x.
     fn readings(
         secs: f64,
         roll: &dyn Fn(f64) -> f64,
@@ -292,9 +293,9 @@ mod tests {
         }
     }
 
-    /// A balancing base accelerates and brakes with 0.6 m/s^2, leans accordingly, and turns while it
-    /// leans. Its gyroscope has large biases. The IMU is mounted upright, upside down, rolled, and
-    /// rolled with x pointing backward.
+    /// A balancing base accelerates and brakes with 0.6 m/s^2, leans accordingly, and turns while
+    /// it leans. Its gyroscope has large biases. The IMU is mounted upright, upside down, rolled,
+    /// and rolled with x pointing backward.
     #[test]
     fn the_turns_of_a_balancing_base_are_measured_although_it_leans() {
         let speed = |t: f64| 0.8 - 0.75 * (0.8 * t).cos();

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! wheels ─┐
-//! imu ────┴─steps─► increments ──filter──► pose, calibration ──smoother──► poses, covariances, report
+//! imu ────┴─steps─► increments ──filter──► states ──smoother──► poses, covariances, report
 //! ```
 //!
 //! Between two wheel stamps the robot moves along an arc. The encoders give the length of the arc.
@@ -21,7 +21,7 @@
 //! | track | 1 | nominal over true track width, minus 1; constant |
 //! | heading offset | rad | measured minus true heading; constant |
 //! | heading drift | rad | slowly varying error of the measured heading; Gauss-Markov |
-//! | heading deviation | rad, rad | error that varies with cosine and sine of the heading; constant |
+//! | heading deviation | rad, rad | error that depends on the heading (cosine, sine); constant |
 //!
 //! The robot's x axis points forward and its y axis points left (REP 103). Filter and smoother
 //! follow Särkkä 2013, "Bayesian filtering and smoothing", alg. 5.4 and 9.1. [`Options`] contains
@@ -104,9 +104,9 @@ pub struct Fused {
 /// Fuses one drive.
 ///
 /// The result has one pose for each wheel sample, or one for each of `stamps` if given. The first
-/// wheel sample has the pose `start`. If `start` is `None`, the drive starts at the origin, with the
-/// heading measured there, or with heading 0 if none was measured. Without IMU samples, the result is plain wheel
-/// odometry.
+/// wheel sample has the pose `start`. If `start` is `None`, the drive starts at the origin, with
+/// the heading measured there, or with heading 0 if none was measured. Without IMU samples, the
+/// result is plain wheel odometry.
 ///
 /// Samples whose stamp is not later than the previous kept sample are dropped and counted.
 pub fn fuse(

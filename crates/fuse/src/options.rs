@@ -53,12 +53,12 @@ pub struct Options {
     pub gyro_bias_walk: f64,
     /// White noise of a measured heading \[rad\].
     pub heading_noise_std: f64,
-    /// Standard deviation of the slowly varying error of the measured heading, for example from
-    /// the magnetic field of a building \[rad\]. It is modeled as a first-order Gauss-Markov process.
+    /// Standard deviation of the slowly varying error of the measured heading, for example from the
+    /// magnetic field of a building \[rad\]. It is modeled as a first-order Gauss-Markov process.
     /// Data sheets specify 2 deg in motion (LORD MicroStrain 3DM-GX3-25); indoors it is larger.
     pub heading_drift_std: f64,
-    /// Correlation time of this error: after this time its correlation is 1/e \[s\]. Use one hour or
-    /// more for a fibre-optic gyroscope, whose heading drifts slowly.
+    /// Correlation time of this error: after this time its correlation is 1/e \[s\]. Use one hour
+    /// or more for a fibre-optic gyroscope, whose heading drifts slowly.
     pub heading_drift_secs: f64,
     /// Standard deviation of the error of the measured heading that depends on the heading itself
     /// \[rad\], caused by iron on the robot. Set it to 0 if the heading does not come from a

@@ -17,8 +17,8 @@ pub struct ImuSample {
     /// Rate about the vertical, counter-clockwise seen from above \[rad/s\]. For an IMU that is not
     /// level, compute it with [`yaw_rates_rad_s`](crate::yaw_rates_rad_s).
     pub yaw_rate_rad_s: f64,
-    /// Heading, counter-clockwise from a fixed direction \[rad\], measured by a compass, an attitude
-    /// and heading reference system, or a fibre-optic gyroscope with an integrator.
+    /// Heading, counter-clockwise from a fixed direction \[rad\], measured by a compass, an
+    /// attitude and heading reference system, or a fibre-optic gyroscope with an integrator.
     pub heading_rad: Option<f64>,
 }
 

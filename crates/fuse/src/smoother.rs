@@ -14,8 +14,8 @@
 //! through an update   r := r + h (y / s - k' r)        N := h h' / s + (1 - k h')' N (1 - k h')
 //! ```
 //!
-//! Without an inverse, an exact start and constants without process noise are no problem. It is also
-//! not necessary to store the matrix P of every step: the state of the filter is stored every
+//! Without an inverse, an exact start and constants without process noise are no problem. It is
+//! also not necessary to store the matrix P of every step: the state of the filter is stored every
 //! [`BLOCK`] steps, and the filter runs again in each block, from the last block to the first.
 
 use nalgebra::SMatrix;
@@ -236,7 +236,8 @@ mod tests {
         (step.window, step.heading_rad) = (None, None);
         step.motion.dt_secs = 0.5;
         step.motion.distance_m *= 10.0;
-        step.motion.variance.turn_gyro_rad2 = step.motion.variance.turn_wheels_rad2; // equal weights
+        // Equal weights of gyroscope and wheels.
+        step.motion.variance.turn_gyro_rad2 = step.motion.variance.turn_wheels_rad2;
         let moved = |nudge: &Vector| {
             let mut state = state;
             state.mean += nudge;
@@ -248,7 +249,8 @@ mod tests {
             let mut nudge = Vector::zeros();
             nudge[column] = 1e-5;
             let slope = (moved(&nudge).0 - moved(&-nudge).0) / 2e-5;
-            // The filter evaluates these derivatives at the mean turn, not at the turn of the wheels.
+            // The filter evaluates these derivatives at the mean turn, not at the turn of the
+            // wheels.
             let is_at_mean_turn = matches!(column, 4 | 6);
             let tolerance = if is_at_mean_turn { 0.05 } else { 1e-8 };
             let error = (slope - f.column(column)).amax();

@@ -281,9 +281,9 @@ impl<'a> Headings<'a> {
         Self { samples, every_secs, max_gap_secs, last_ns: None }
     }
 
-    /// The heading at a stamp, interpolated along the shorter arc between the two samples around it.
-    /// It is `None` if one of the two samples has no heading, if they are more than `max_gap_secs`
-    /// apart, or if the last heading was used less than `every_secs` ago.
+    /// The heading at a stamp, interpolated along the shorter arc between the two samples around
+    /// it. It is `None` if one of the two samples has no heading, if they are more than
+    /// `max_gap_secs` apart, or if the last heading was used less than `every_secs` ago.
     fn at(&mut self, stamp_ns: i64) -> Option<f64> {
         if self.last_ns.is_some_and(|last| seconds(last, stamp_ns) < self.every_secs) {
             return None;

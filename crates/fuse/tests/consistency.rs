@@ -9,8 +9,8 @@ use support::{Drive, Errors, Normal, drive, nees, winding};
 const RUNS: u64 = 100;
 
 /// 95 % interval of the mean over 100 runs of a chi-square variable with 3 degrees of freedom. For
-/// the sum, with 300 degrees of freedom, 2.5 % are below 253.9 and 2.5 % above 349.9 (Bar-Shalom, Li and Kirubarajan 2001, "Estimation with applications to tracking and
-/// navigation", sec. 5.4.2).
+/// the sum, with 300 degrees of freedom, 2.5 % are below 253.9 and 2.5 % above 349.9 (Bar-Shalom,
+/// Li and Kirubarajan 2001, "Estimation with applications to tracking and navigation", sec. 5.4.2).
 const BOUNDS: std::ops::RangeInclusive<f64> = 2.539..=3.499;
 
 fn options() -> Options {
@@ -31,8 +31,8 @@ fn options() -> Options {
     }
 }
 
-/// Mean NEES (normalized estimation error squared) at 15, 30, 50, 80 and 120 s over seeded runs. Each
-/// run has its own bias, scales, track width and noise.
+/// Mean NEES (normalized estimation error squared) at 15, 30, 50, 80 and 120 s over seeded runs.
+/// Each run has its own bias, scales, track width and noise.
 fn mean_nees(has_heading: bool, smooth: bool) -> Vec<f64> {
     let options = Options { smooth, ..options() };
     let winding = Drive { secs: 120.0, wheel_hz: 20.0, imu_hz: 40.0, twist: winding, has_heading };

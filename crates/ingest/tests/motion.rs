@@ -150,8 +150,8 @@ fn expected_residual_m(scan: &Scan, lidar: &Pose2) -> f64 {
     NOISE_M * (along.sum::<f64>() / scan.len() as f64).sqrt()
 }
 
-/// Without deskewing the wall is bent, because the robot turns by about 0.04 rad while the lidar scans
-/// the wall. With deskewing, from poses at 20 Hz, the residual equals the range noise.
+/// Without deskewing the wall is bent, because the robot turns by about 0.04 rad while the lidar
+/// scans the wall. With deskewing, from poses at 20 Hz, the residual equals the range noise.
 #[test]
 fn deskewing_reduces_the_residual_of_a_flat_wall_to_the_range_noise() {
     let log = interleaved(wall_packets(), robot_poses(50));
@@ -332,8 +332,8 @@ fn transforms_give_poses_and_deskew_scans() {
     assert_eq!(cause, "all transforms between the two frames are static");
 }
 
-/// The same turn on the spot, measured by wheels at 50 Hz and an IMU at 100 Hz that is mounted upside
-/// down.
+/// The same turn on the spot, measured by wheels at 50 Hz and an IMU at 100 Hz that is mounted
+/// upside down.
 #[test]
 fn dead_reckoning_from_wheels_deskews_scans() {
     let mut entries: Vec<Entry> = Vec::new();
@@ -404,8 +404,8 @@ fn satellite_fixes_give_poses_relative_to_an_origin() {
     assert!(ingested.is_own_frame);
     let poses = ingested.trajectory.poses();
     assert_eq!((poses.len(), poses[0].pose.x_m, poses[0].pose.y_m), (16, 0.0, 0.0));
-    // At latitude 42.29 deg, one degree of latitude is 111 068 m and one degree of longitude 82 464 m
-    // (radii of curvature of WGS 84). An altitude of 250 m adds 250 m to the radii.
+    // At latitude 42.29 deg, one degree of latitude is 111 068 m and one degree of longitude 82 464
+    // m (radii of curvature of WGS 84). An altitude of 250 m adds 250 m to the radii.
     let far = poses.last().unwrap().pose;
     assert!((far.y_m - 18e-5 * 111_068.0 * (1.0 + 250.0 / 6.37e6)).abs() < 2e-3, "{far:?}");
     assert!((far.x_m - 18e-5 * 82_464.0 * (1.0 + 250.0 / 6.37e6)).abs() < 2e-3, "{far:?}");

@@ -29,7 +29,8 @@ impl RecentPoses {
         Self { poses: VecDeque::new(), max_speed_m_s, last_ns: i64::MIN }
     }
 
-    /// Adds a pose, usually the latest. If a pose with the same stamp exists, the new one is ignored.
+    /// Adds a pose, usually the latest. If a pose with the same stamp exists, the new one is
+    /// ignored.
     pub(crate) fn push(&mut self, stamp_ns: i64, pose: Pose2) {
         self.last_ns = stamp_ns;
         let at = match self.poses.back() {

@@ -45,7 +45,8 @@ mod tests {
 
     const MS: i64 = 1_000_000;
 
-    /// A wall at x = 5 m, and a lidar that drives toward it with 1 m/s: after 0.1 s it measures 4.9 m.
+    /// A wall at x = 5 m, and a lidar that drives toward it with 1 m/s: after 0.1 s it measures 4.9
+    /// m.
     #[test]
     fn deskewing_straightens_a_wall() {
         let timed = TimedScan {

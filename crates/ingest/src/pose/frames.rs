@@ -1,9 +1,9 @@
 //! Transforms between frames -> poses of one frame in another.
 //!
-//! The frames and transforms form a graph. The chain from the parent frame to the child frame is the
-//! shortest path in this graph; each transform can be used in both directions. A transform is valid
-//! at all times if it comes from a topic named `..._static`, or if the log contains it only once.
-//! All other transforms are interpolated between their samples and never extrapolated.
+//! The frames and transforms form a graph. The chain from the parent frame to the child frame is
+//! the shortest path in this graph; each transform can be used in both directions. A transform is
+//! valid at all times if it comes from a topic named `..._static`, or if the log contains it only
+//! once. All other transforms are interpolated between their samples and never extrapolated.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -197,8 +197,8 @@ impl TransformHistory {
         Ok((poses, n_unknown))
     }
 
-    /// The motion of the child frame while the log is being read: its poses after a stamp, up to the
-    /// newest stamp that all regular transforms have reached.
+    /// The motion of the child frame while the log is being read: its poses after a stamp, up to
+    /// the newest stamp that all regular transforms have reached.
     ///
     /// The poses are in the parent frame of the transform that has moved most. Transforms before it
     /// in the chain, for example corrections of the map, are left out, because they do not describe

@@ -29,7 +29,8 @@ pub(crate) fn check(fix: &NavSatFix) -> Result<(), LossKind> {
     if fix.status < STATUS_FIX {
         return Err(LossKind::NoGnssFix);
     }
-    // This position is in the Gulf of Guinea, 600 km from land. Some receivers send it without a fix.
+    // This position is in the Gulf of Guinea, 600 km from land. Some receivers send it without a
+    // fix.
     if fix.latitude_deg.abs() < NULL_ISLAND_DEG && fix.longitude_deg.abs() < NULL_ISLAND_DEG {
         return Err(LossKind::GnssFixAtZero);
     }
@@ -65,8 +66,8 @@ pub(crate) fn poses(fixes: &[NavSatFix], origin: &Origin) -> Vec<StampedPose> {
     poses
 }
 
-/// Sets the heading of each pose to the direction of its chord. The poses after the last chord get the
-/// direction of the last chord.
+/// Sets the heading of each pose to the direction of its chord. The poses after the last chord get
+/// the direction of the last chord.
 fn set_courses(poses: &mut [StampedPose]) {
     let mut start = 0;
     let mut course = None;

@@ -35,9 +35,9 @@ pub(crate) fn undecodable(source: Source, error: &MessageError) -> LossKind {
     }
 }
 
-/// The covariance of x, y and heading (xx, xy, xh, yy, yh, hh), selected from the (6, 6) covariance of
-/// (x, y, z, rotation about x, y, z), row by row. It is `None` if the covariance is not known, which
-/// messages express by zeros or a negative variance.
+/// The covariance of x, y and heading (xx, xy, xh, yy, yh, hh), selected from the (6, 6) covariance
+/// of (x, y, z, rotation about x, y, z), row by row. It is `None` if the covariance is not known,
+/// which messages express by zeros or a negative variance.
 fn planar_covariance(full: &[f64; 36]) -> Option<[f64; 6]> {
     let planar = [full[0], full[1], full[5], full[7], full[11], full[35]];
     let is_known = planar.iter().all(|v| v.is_finite())

@@ -81,8 +81,8 @@ impl MotionReadings {
         Ok(())
     }
 
-    /// Adds the mean speed, or the mean position, of the wheels on each side. A side can have several
-    /// wheels.
+    /// Adds the mean speed, or the mean position, of the wheels on each side. A side can have
+    /// several wheels.
     fn add_joints(
         &mut self,
         source: Source,

@@ -150,8 +150,8 @@ fn fuse_readings(readings: &MotionReadings, options: &PoseOptions) -> Result<Fus
 
 /// The pose of the lidar, `map_from_lidar = map_from_base * base_from_lidar`, with its covariance.
 ///
-/// With the mount (mx, my) and c, s the cosine and sine of the heading, the position of the lidar is
-/// (x + c mx - s my, y + s mx + c my). The covariance is propagated to first order.
+/// With the mount (mx, my) and c, s the cosine and sine of the heading, the position of the lidar
+/// is (x + c mx - s my, y + s mx + c my). The covariance is propagated to first order.
 fn lidar_pose(map_from_base: &StampedPose, base_from_lidar: &Pose2) -> StampedPose {
     let map_from_lidar = map_from_base.pose * *base_from_lidar;
     let [dx, dy] =
@@ -221,8 +221,8 @@ mod tests {
         }
     }
 
-    /// A quarter turn in 10 s with a radius of 2 m, which ends at (2, 2) with heading 90 deg. The IMU
-    /// is mounted upside down, so the direction up is its -z axis.
+    /// A quarter turn in 10 s with a radius of 2 m, which ends at (2, 2) with heading 90 deg. The
+    /// IMU is mounted upside down, so the direction up is its -z axis.
     #[test]
     fn wheels_and_an_imu_upside_down_are_fused_to_an_arc() {
         let yaw_rate = std::f64::consts::FRAC_PI_2 / 10.0;
@@ -254,9 +254,9 @@ mod tests {
         assert!((fused.report.distance_m - 9.9).abs() < 0.01, "{}", fused.report.distance_m);
     }
 
-    /// A lidar 2 m in front of a robot with heading 90 deg: an error of the heading of 0.1 rad moves
-    /// the lidar by 0.2 m along -x. With independent standard deviations of 0.3 m, 0.4 m and 0.1 rad,
-    /// the variance of x is 0.09 + 0.04.
+    /// A lidar 2 m in front of a robot with heading 90 deg: an error of the heading of 0.1 rad
+    /// moves the lidar by 0.2 m along -x. With independent standard deviations of 0.3 m, 0.4 m and
+    /// 0.1 rad, the variance of x is 0.09 + 0.04.
     #[test]
     fn the_covariance_of_the_lidar_includes_the_heading_error() {
         let heading_rad = std::f64::consts::FRAC_PI_2;
