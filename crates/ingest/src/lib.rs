@@ -12,6 +12,26 @@
 //!
 //! The result depends only on the bytes of the logs and the options. Pieces are decoded in parallel,
 //! but assembled in file order.
+//!
+//! ```no_run
+//! use std::path::Path;
+//!
+//! use ingest::{IngestError, LidarOptions, Log, Options, PoseOptions};
+//!
+//! let log = Log::open(Path::new("drive.mcap"))?;
+//! let options = Options {
+//!     lidar: LidarOptions { topic: "/velodyne_packets".to_owned(), ..LidarOptions::default() },
+//!     pose: Some(PoseOptions::of_topic("/odom")),
+//! };
+//! let mut scans = Vec::new();
+//! let take = |batch| {
+//!     scans.extend(batch);
+//!     Ok::<_, IngestError>(())
+//! };
+//! let ingested = ingest::ingest(&[&log], &options, take, |_n_bytes| ())?;
+//! assert_eq!(scans.len(), ingested.n_scans);
+//! # Ok::<(), IngestError>(())
+//! ```
 
 mod deskew;
 mod drive;
