@@ -18,6 +18,7 @@ mod resume;
 mod run;
 mod sensors_page;
 mod simulation;
+mod sources;
 mod structure;
 mod support;
 mod wire;

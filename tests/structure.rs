@@ -211,3 +211,21 @@ fn the_docs_list_every_code_of_a_loss_a_note_and_an_error_of_a_log() {
         assert!(known.contains(code.as_str()), "docs/messages.md lists the unknown code `{code}`");
     }
 }
+
+/// CI builds with the release of rust-toolchain.toml. It is the oldest release that Cargo.toml
+/// claims to support.
+#[test]
+fn ci_builds_with_the_oldest_supported_release() {
+    let table = |file: &str| -> toml::Table {
+        fs::read_to_string(root().join(file)).unwrap().parse().unwrap()
+    };
+    let toolchain = table("rust-toolchain.toml");
+    let channel = toolchain["toolchain"]["channel"].as_str().unwrap();
+    let cargo = table("Cargo.toml");
+    let oldest = cargo["workspace"]["package"]["rust-version"].as_str().unwrap();
+    assert_eq!(channel.rsplit_once('.').unwrap().0, oldest);
+    for entry in fs::read_dir(root().join("crates")).unwrap() {
+        let manifest = table(entry.unwrap().path().join("Cargo.toml").to_str().unwrap());
+        assert_eq!(manifest["package"]["rust-version"]["workspace"], toml::Value::Boolean(true));
+    }
+}
