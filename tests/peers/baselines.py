@@ -1,9 +1,10 @@
-"""Compares the baselines' cross-validated confidences in a run folder with scikit-learn's.
+"""Compares the cross-validated confidences of the baselines in a run folder with scikit-learn.
 
 usage: baselines.py RUN_FOLDER
 
-k-NN: 5 neighbours, features scaled on the training fold; the SVM: squared hinge loss, C = 1, the bias
-regularised. Folds are those of scores.parquet, grouping `pair`, where a pair touches one fold.
+k-NN uses 5 neighbours and features scaled on the training folds. The SVM uses the squared hinge loss,
+C = 1 and a regularised bias. The folds are those of scores.parquet for the grouping `pair`, in which
+each pair is in one fold.
 """
 
 import sys
@@ -34,6 +35,6 @@ for learner, tolerance in [("knn", 1e-9), ("svm", 1e-4)]:
             model = LinearSVC(tol=1e-10, max_iter=1_000_000, dual=False).fit(X, y[~test])
             theirs[test] = model.decision_function(Z)
     error = np.abs(ours - theirs)
-    print(f"{learner}: {len(rows)} pairs, {(error > tolerance).sum()} differ by more than {tolerance}, at most {error.max():.2e}")
-    # A tie between two neighbours may go either way.
+    print(f"{learner}: {len(rows)} pairs, {(error > tolerance).sum()} differ by more than {tolerance}, largest difference {error.max():.2e}")
+    # If two neighbours are equally far away, the two programs may choose different ones.
     assert (error > tolerance).sum() <= (2 if learner == "knn" else 0)

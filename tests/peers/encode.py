@@ -1,5 +1,5 @@
-"""Writes logs with the libraries of others, and reads ROS 2 logs: containers by `mcap`, ROS
-messages by `rosbags`, protocol buffers by `foxglove-schemas-protobuf`."""
+"""Writes logs with other libraries, and reads ROS 2 logs. `mcap` writes the containers, `rosbags` the
+ROS messages and `foxglove-schemas-protobuf` the protocol buffers."""
 
 import base64
 import json
@@ -35,7 +35,7 @@ def header(ns):
 
 
 def foxglove(ns, pose=None):
-    """What Foxglove's messages have in common."""
+    """The fields that all Foxglove messages have."""
     level = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     origin = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": level}
     stamp = {"seconds": ns // 10**9, "nanos": ns % 10**9}
@@ -43,7 +43,7 @@ def foxglove(ns, pose=None):
 
 
 def ros(store, name, values):
-    """A message of rosbags' types; what `values` lacks is zero."""
+    """A message of a rosbags type. Fields that `values` lacks are zero."""
 
     def of(kind, what, value):
         if kind == Nodetype.NAME:
@@ -60,7 +60,7 @@ def ros(store, name, values):
 
 
 def plain(value):
-    """What JSON has words for."""
+    """The value in types that JSON has."""
     if isinstance(value, dict):
         if value.keys() == {"seconds", "nanos"}:
             return {"sec": value["seconds"], "nsec": value["nanos"]}
@@ -87,7 +87,7 @@ def encode(name, encoding, values):
 
 def write(path, messages, schema="full", compression=CompressionType.ZSTD, **options):
     """Writes messages (topic, type, encoding, stamp [ns], values) into a log whose schemas are
-    "full", "empty", "partial" (a text that breaks off) or "none"."""
+    "full", "empty", "partial" (a truncated text) or "none"."""
     os.makedirs(os.path.dirname(path), exist_ok=True)
     with open(path, "wb") as log:
         writer = Writer(log, compression=compression, **options)

@@ -1,13 +1,13 @@
-"""The same measurements in every encoding: writes logs with the libraries of others, and compares
-what the program made of them with what was written.
+"""Writes the same measurements in every encoding, with other libraries, and compares what the program
+reads with what was written.
 
 usage: encodings.py write DATA FOLDER
        encodings.py compare FOLDER GROUP RUN_FOLDER [RING]
 
-`write` makes FOLDER/<group>/<name>.mcap: the groups `packets` and `lossy` from the real HDL-32E
-capture of DATA, `clouds` from what velodyne-decoder makes of it, `planar` and `bare` (without
-schemas) from real SICK scans and poses. `compare` reads the tables that the program made of a
-group's logs, and FOLDER/reference.parquet, the scans of the capture as it is.
+`write` writes FOLDER/<group>/<name>.mcap. The groups `packets` and `lossy` contain the real HDL-32E
+capture of DATA. `clouds` contains the point clouds that velodyne-decoder makes from it. `planar` and
+`bare` (without schemas) contain real SICK scans and poses. `compare` reads the tables that the program
+wrote for the logs of a group, and FOLDER/reference.parquet, the scans of the original capture.
 """
 
 import itertools
@@ -23,10 +23,10 @@ from encode import foxglove, header, read, stamp_ns, time, write
 from mcap.writer import CompressionType, IndexType
 
 RANGE_MIN_M, RANGE_MAX_M = 0.9, 70.0  # the defaults of [ingest.lidar]
-WHOLE_TURNS = 2  # of the street capture, between two parts
+N_COMPLETE = 2  # complete revolutions of the street capture, between two partial ones
 PACKETS, CLOUDS, SCANS, POSES = "/velodyne_packets", "/velodyne_points", "/scan", "/pose"
 ROS, BIG, OTHERS = ["ros1", "cdr"], "cdr-big-endian", ["protobuf", "json"]  # encodings
-SCHEMAS = ["none", "empty", "partial"]  # but for "full"
+SCHEMAS = ["none", "empty", "partial"]  # other than "full"
 
 # Packets ----------------------------------------------------------------------------------------
 
@@ -39,7 +39,7 @@ def street(data):
 
 
 def velodyne_scans(packets, encoding, n):
-    """Messages of `n` packets each; of one packet each, without a header, where n is 0."""
+    """Messages of `n` packets each. If n is 0, messages of one packet without a header."""
     for group in (packets[k : k + max(n, 1)] for k in range(0, len(packets), max(n, 1))):
         values = [{"stamp": time(ns), "data": np.frombuffer(data, np.uint8)} for ns, data in group]
         ns = group[-1][0]
@@ -71,18 +71,18 @@ CONTAINERS = {
 
 
 def shuffled(packets, random):
-    """As if each had been up to 100 ms on its way."""
+    """The packets in the order of arrival if each one is up to 100 ms late."""
     order = np.argsort([ns + random.integers(0, 10**8) for ns, _ in packets])
     return [packets[k] for k in order]
 
 
 def twice(packets):
-    """Every seventh again, two packets later; 500 packets hold 72 such."""
+    """Repeats every seventh packet two packets later. 500 packets then contain 72 duplicates."""
     return [p for k, p in enumerate(packets) for p in [p] + [packets[k - 2]] * (k % 7 == 2)]
 
 
 def with_positions(packets):
-    """A position packet, as far as 1206 bytes can carry its 512, behind every 50th."""
+    """Adds a position packet after every 50th packet, padded to 1206 bytes."""
     sentence = b"$GPRMC,143408,A,3713.4490,N,12159.2900,W,000.0,000.0,280911,014.8,E,A*00\r\n"
     position = (bytes(206) + sentence).ljust(1206, b"\0")
     mixed = []
@@ -96,7 +96,7 @@ def write_packets(data, folder):
     random = np.random.default_rng(2436)
     os.makedirs(f"{folder}/packets")
     shutil.copy(f"{data}/logs/hdl32e-street.ros2.mcap", f"{folder}/packets/reference.mcap")
-    # Group, name, packets, packets in a message, schema.
+    # Group, name, packets, packets per message, schema.
     rows = [("packets", "plain", packets, n, "full") for n in [0, 1, 77, 500]]
     rows += [("packets", "plain", packets, n, of) for n in [0, 77] for of in SCHEMAS]
     for n in [0, 40]:
@@ -117,9 +117,9 @@ def write_packets(data, folder):
 # Clouds -----------------------------------------------------------------------------------------
 
 
-def turns(packets):
-    """The points of velodyne-decoder, a turn of ring 23 at a time: ring, column, x, y, z, intensity
-    and time [ns], in firing order."""
+def revolutions(packets):
+    """The points of velodyne-decoder for each revolution of ring 23, in firing order: ring, column, x,
+    y, z, intensity and time [ns]."""
     decoder = vd.ScanDecoder(vd.Config(min_range=0.0, max_range=1e9))
     azimuths, points = [], []
     for n, (ns, data) in enumerate(packets):
@@ -135,13 +135,13 @@ def turns(packets):
     points = np.array(points, list(zip("ring column x y z intensity ns".split(), kinds)))
     steps = np.append(np.diff(azimuths) % 36000, 0)
     cuts = np.nonzero(np.diff((azimuths + 15 / 40 * steps) % 36000) < -18000)[0] + 1
-    of_turn = np.searchsorted(cuts, points["column"], "right")
-    return [points[of_turn == k] for k in range(len(cuts) + 1)]
+    revolution = np.searchsorted(cuts, points["column"], "right")
+    return [points[revolution == k] for k in range(len(cuts) + 1)]
 
 
 def layout(spec):
-    """The type of a point: "x:f4@0 ... =32", the offsets and the size being those of packed fields
-    unless given."""
+    """The type of a point, from a text such as "x:f4@0 ... =32". Without offsets and size, the fields
+    are packed."""
     *fields, size = (spec if "=" in spec else spec + " =0").split()
     names, formats, offsets, at = [], [], [], 0
     for field in fields:
@@ -154,7 +154,7 @@ def layout(spec):
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-# With the resolution of their times, of up to 0.12 s or since 1970 [ns]; none have no times.
+# The layout, and the resolution of its times [ns]: up to 0.12 s, or since 1970. None: no times.
 LAYOUTS = {
     "velodyne": ("x:f4 y:f4 z:f4 intensity:f4 ring:u2 time:f4", 8),
     "padded": ("x:f4 y:f4 z:f4 intensity:f4@16 ring:u2@20 time:f4@24 =32", 8),
@@ -167,29 +167,29 @@ LAYOUTS = {
 }
 
 
-def cloud(turn, dtype, start_ns):
-    """Points of a layout."""
-    points = np.zeros(turn.shape, dtype)
-    after_ns = turn["ns"] - start_ns
-    times = {"time": after_ns * 1e-9, "t": after_ns, "timestamp": turn["ns"] * 1e-9}
+def cloud(revolution, dtype, start_ns):
+    """The points in a layout."""
+    points = np.zeros(revolution.shape, dtype)
+    after_ns = revolution["ns"] - start_ns
+    times = {"time": after_ns * 1e-9, "t": after_ns, "timestamp": revolution["ns"] * 1e-9}
     for name in set(dtype.names) - {"reflectivity"}:
-        points[name] = times[name] if name in times else turn[name]
+        points[name] = times[name] if name in times else revolution[name]
     return points
 
 
-LASER = np.array([2 * ring if ring < 16 else 2 * ring - 31 for ring in range(32)])  # of each ring
+LASER = np.array([2 * ring if ring < 16 else 2 * ring - 31 for ring in range(32)])  # by ring
 
 
-def organised(turn):
-    """Rings and firings in a grid (32, columns), NaN where nothing returned."""
-    column = turn["column"] - turn["column"].min()
-    grid = np.zeros((32, column.max() + 1), turn.dtype)
+def organised(revolution):
+    """A grid of rings and firings (32, columns), NaN where there is no return."""
+    column = revolution["column"] - revolution["column"].min()
+    grid = np.zeros((32, column.max() + 1), revolution.dtype)
     for name in "xyz":
         grid[name] = np.nan
     grid["ring"] = np.arange(32)[:, None]
-    first_ns = turn["ns"][0] - 1_152 * LASER[turn["ring"][0]]
+    first_ns = revolution["ns"][0] - 1_152 * LASER[revolution["ring"][0]]
     grid["ns"] = first_ns + 46_080 * np.arange(grid.shape[1]) + 1_152 * LASER[:, None]
-    grid[turn["ring"], column] = turn
+    grid[revolution["ring"], column] = revolution
     return grid
 
 
@@ -228,9 +228,9 @@ def cloud_message(points, start_ns, encoding):
     return CLOUDS, "sensor_msgs/msg/PointCloud2", encoding, start_ns, values
 
 
-def scan_of(turn, ring):
-    """What the points say of a ring: the stamp of its first point [ns], x and y [m]."""
-    of_ring = turn.reshape(-1)[turn.reshape(-1)["ring"] == ring]
+def scan_of(revolution, ring):
+    """The scan of a ring: the stamp of its first point [ns], x and y [m]."""
+    of_ring = revolution.reshape(-1)[revolution.reshape(-1)["ring"] == ring]
     x, y, z = (of_ring[name].astype(float) for name in "xyz")
     range_m = np.sqrt(x * x + y * y + z * z).astype("f4")
     keep = (range_m >= np.float32(RANGE_MIN_M)) & (range_m <= np.float32(RANGE_MAX_M))
@@ -238,7 +238,7 @@ def scan_of(turn, ring):
 
 
 def write_clouds(packets, folder, expected):
-    parts = turns(packets)
+    parts = revolutions(packets)
     rows = [(of, "", encoding, "full") for of in LAYOUTS for encoding in ROS]
     rows += [(of, "", encoding, "full") for of in ["velodyne", "nuscenes"] for encoding in OTHERS]
     rows += [("velodyne", "", encoding, "none") for encoding in OTHERS]
@@ -249,15 +249,17 @@ def write_clouds(packets, folder, expected):
     for of, order, encoding, schema in rows:
         spec, error_ns = LAYOUTS[of]
         messages, scans = [], {16: [], 23: []}
-        for turn in parts:
+        for revolution in parts:
             if order == "-by-ring":
-                turn = organised(turn)
+                revolution = organised(revolution)
             elif order == "-by-firing":
-                turn = organised(turn)[np.argsort(LASER)].T
-            start_ns = int(turn["ns"].max() if order == "-stamped-at-end" else turn["ns"].min())
-            messages.append(cloud_message(cloud(turn, layout(spec), start_ns), start_ns, encoding))
+                revolution = organised(revolution)[np.argsort(LASER)].T
+            stamps = revolution["ns"]
+            start_ns = int(stamps.max() if order == "-stamped-at-end" else stamps.min())
+            points = cloud(revolution, layout(spec), start_ns)
+            messages.append(cloud_message(points, start_ns, encoding))
             for ring, of_ring in scans.items():
-                scan = scan_of(turn, ring)
+                scan = scan_of(revolution, ring)
                 ns = start_ns if error_ns is None else scan["ns"]
                 of_ring.append(scan | {"ns": ns, "error_ns": error_ns or 0})
         log = f"{of}{order}-{encoding}-schema-{schema}"
@@ -269,8 +271,8 @@ def write_clouds(packets, folder, expected):
 
 
 def sick(data):
-    """Real scans of 180, 361 and (every other of these) 181 beams, forty each, with every spelling
-    of "no return": stamp, angle_min, angle_increment, range_min, range_max, ranges."""
+    """Forty real scans each of 180, 361 and 181 beams (every other beam of 361), with every reading
+    that is not a return: stamp, angle_min, angle_increment, range_min, range_max, ranges."""
     random = np.random.default_rng(2436)
     scans = []
     for name, every in [("mit-killian", 1), ("mit-csail", 1), ("mit-csail", 2)]:
@@ -290,7 +292,7 @@ def scan_message(scan, encoding):
     ns, angle_min, increment, low, high, ranges = scan
     n_steps = len(ranges) - 1
     if encoding in OTHERS:
-        # The message has no range limits: readings beyond the scanner's are no numbers.
+        # The message has no range limits: readings outside the scanner's limits become NaN.
         is_reading = np.isinf(ranges) | (ranges == 0) | (low <= ranges) & (ranges < high)
         values = {
             "start_angle": float(angle_min),
@@ -312,7 +314,7 @@ def scan_message(scan, encoding):
 
 
 def planar_scan(scan):
-    """By the definition of sensor_msgs/LaserScan, with no return at the maximum."""
+    """The scan by the definition of sensor_msgs/LaserScan. A reading at the maximum is not a return."""
     ns, angle_min, increment, low, high, ranges = scan
     angles = float(angle_min) + float(increment) * np.arange(len(ranges))
     keep = (ranges >= max(low, np.float32(RANGE_MIN_M))) & (ranges < high) & (ranges <= RANGE_MAX_M)
@@ -322,7 +324,8 @@ def planar_scan(scan):
 
 
 def real_poses(data, scans):
-    """Real positions and headings, tilted by up to 15 deg: stamp, position, quaternion, heading."""
+    """Real positions and headings, with pitch and roll of up to 15 deg: stamp, position, quaternion,
+    heading."""
     random = np.random.default_rng(1)
     log = read(f"{data}/logs/mit-killian.mcap", POSES, "geometry_msgs/msg/PoseStamped")
     poses = []
@@ -377,32 +380,32 @@ def rows_of(table):
     return [{key: value for key, value in row.items() if key != "log"} for row in rows]
 
 
-def apart_m(row, scan):
-    """Largest difference of a coordinate."""
+def difference_m(row, scan):
+    """Largest difference of a coordinate [m]."""
     assert len(row["x_m"]) == len(scan["x"]), (len(row["x_m"]), len(scan["x"]))
     found = np.array([row["x_m"], row["y_m"]])
     return np.abs(found - [scan["x"], scan["y"]]).max()
 
 
 def compare_clouds(log, rows, scans):
-    """The ring's points, each as it was written, in order. The capture starts at 222.5 deg."""
-    assert len(rows) == WHOLE_TURNS + 2, log
+    """The points of the ring must be exactly those written, in order. The capture starts at 222.5 deg."""
+    assert len(rows) == N_COMPLETE + 2, log
     for k, (row, scan) in enumerate(zip(rows, scans)):
         late_ns = row["stamp_ns"] - scan["ns"]
         assert abs(late_ns) <= scan["error_ns"], (log, k, late_ns)
-        is_whole = 0 < k <= WHOLE_TURNS
-        assert (row["coverage_deg"] > 355) == is_whole, (log, k, row["coverage_deg"])
-        assert apart_m(row, scan) == 0, (log, k)
+        is_complete = 0 < k <= N_COMPLETE
+        assert (row["coverage_deg"] > 355) == is_complete, (log, k, row["coverage_deg"])
+        assert difference_m(row, scan) == 0, (log, k)
     assert abs(rows[0]["coverage_deg"] - 137.5) < 1, (log, rows[0]["coverage_deg"])
 
 
 def compare_planar(log, rows, expected):
-    """By the definition: coordinates within the last bit of f32, headings within some of f64."""
+    """Coordinates must agree with the definition within the last bit of an f32."""
     assert len(rows) == len(expected), log
     for row, scan in zip(rows, expected):
         assert row["stamp_ns"] == scan["ns"], log
         assert abs(row["coverage_deg"] - scan["coverage_deg"]) < 1e-4, log
-    worst = max(apart_m(row, scan) for row, scan in zip(rows, expected))
+    worst = max(difference_m(row, scan) for row, scan in zip(rows, expected))
     assert worst < 4e-6, (log, worst)
     return worst
 
@@ -411,8 +414,8 @@ def compare_poses(log, rows, poses):
     assert len(rows) == len(poses), log
     for row, (ns, (x, y, _), _, yaw) in zip(rows, poses):
         assert (row["stamp_ns"], row["x_m"], row["y_m"]) == (ns, x, y), (log, row, x, y)
-        turned = (row["heading_rad"] - yaw + np.pi) % (2 * np.pi) - np.pi
-        assert abs(turned) < 1e-12, (log, turned)
+        error_rad = (row["heading_rad"] - yaw + np.pi) % (2 * np.pi) - np.pi
+        assert abs(error_rad) < 1e-12, (log, error_rad)
 
 
 def compare(folder, group, run, ring=23):
@@ -424,18 +427,18 @@ def compare(folder, group, run, ring=23):
     for log in logs:
         rows = rows_of(f"{run}/scans/{log}.parquet")
         if group in ["packets", "lossy"]:
-            assert rows == reference and len(rows) == WHOLE_TURNS, log
+            assert rows == reference and len(rows) == N_COMPLETE, log
         elif group == "clouds":
             compare_clouds(log, rows, expected[log][int(ring)])
         else:
             worst = max(worst, compare_planar(log, rows, expected[log]["scans"]))
             compare_poses(log, rows_of(f"{run}/poses/{log}.parquet"), expected[log]["poses"])
     if group == "clouds" and int(ring) == 23:
-        # Azimuths are rounded to 0.01 deg by the one: at 70 m half of that is 6.1 mm.
-        clouds = expected["velodyne-cdr-schema-full"][23][1 : 1 + WHOLE_TURNS]
-        apart = max(apart_m(row, scan) for row, scan in zip(reference, clouds))
-        print(f"scans of packets and of another decoder's clouds: {apart * 1000:.2f} mm apart")
-        assert apart < 0.01
+        # velodyne-decoder rounds azimuths to 0.01 deg: at 70 m, half of that is 6.1 mm.
+        clouds = expected["velodyne-cdr-schema-full"][23][1 : 1 + N_COMPLETE]
+        largest_m = max(difference_m(row, scan) for row, scan in zip(reference, clouds))
+        print(f"scans of packets and of velodyne-decoder differ by up to {largest_m * 1000:.2f} mm")
+        assert largest_m < 0.01
     print(f"{group}: {len(logs)} logs agree, coordinates to {worst * 1e6:.3f} um")
 
 

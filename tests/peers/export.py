@@ -2,9 +2,9 @@
 
 usage: export.py MODEL.onnx MODEL.json [PAIRS]
 
-The rule is evaluated here, in numpy, from model.json; 10,000 random pairs, half of them with
-features exactly at a threshold. Confidences agree to 1e-5 and labels wherever the confidence is
-farther than that from the threshold.
+The script evaluates the rule of model.json in numpy for 10,000 random pairs. Half of the pairs have a
+feature exactly at a threshold. Confidences must agree within 1e-5. Labels must agree if the confidence
+differs from the threshold by more than that.
 """
 
 import json
@@ -19,7 +19,7 @@ names = model["features"]["names"]
 n = int(sys.argv[3]) if len(sys.argv) > 3 else 10_000
 rng = np.random.default_rng(model["seed"])
 
-# Differences around the thresholds, feature by feature.
+# Differences at the scale of the thresholds of each feature.
 splits = [s for r in model["rounds"] for s in r.get("nodes", [r]) if s is not None]
 scales = {name: 1.0 for name in names}
 for s in splits:
@@ -31,7 +31,7 @@ for k, s in enumerate(splits):
 
 
 def leaves(r, rows, node=0):
-    """The leaf that each of the rows comes to, from a node on; children of k are 2 k + 1, 2 k + 2."""
+    """The value of the leaf of each row, below a node. The children of k are 2 k + 1 and 2 k + 2."""
     if len(r["nodes"]) <= node:
         return np.full(len(rows), r["leaves"][node - len(r["nodes"])])
     left, right = leaves(r, rows, 2 * node + 1), leaves(r, rows, 2 * node + 2)

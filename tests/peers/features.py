@@ -1,9 +1,10 @@
-"""The features of scans by straightforward numpy, from the formulas of docs/features.md.
+"""Computes the features of scans with numpy, from the formulas in docs/features.md.
 
-usage: features.py RUN_FOLDER            compares the run's features.parquet, of either set
-       features.py --time SET N_SCANS N_RETURNS    prints the seconds a scan takes
+usage: features.py RUN_FOLDER                      compares the features.parquet of a run
+       features.py --time SET N_SCANS N_RETURNS    prints the seconds per scan
 
-A scan is x, y in firing order and the angle swept [deg]. Nothing here is shared with the program.
+A scan is x and y in firing order and the covered angle [deg]. The script shares no code with the
+program.
 """
 
 import sys
@@ -72,7 +73,7 @@ def paper16(x, y, coverage_deg):
 
 
 def soft(values, weights, centres):
-    """Weights dealt to the two nearest centres; beyond the ends, to the end."""
+    """Distributes weights to the two nearest centres, or to the end if values are beyond it."""
     t = np.interp(values, centres, np.arange(len(centres)))
     k = np.minimum(t.astype(int), len(centres) - 2)
     n = len(centres)
@@ -80,7 +81,8 @@ def soft(values, weights, centres):
 
 
 def signature(x, y, coverage_deg):
-    """Mean ln r by bins of azimuth, filled; the bins' azimuths; the share of 5 deg sectors seen."""
+    """Mean ln r of each azimuth bin, with empty bins interpolated; the azimuths of the bins; the share of
+    5 deg sectors with returns."""
     ln_r = np.log(np.hypot(x, y))
     if coverage_deg >= 355:
         n, width = 360, 1.0
@@ -142,7 +144,7 @@ def campus(x, y, coverage_deg):
         runs = np.r_[runs[0] + runs[-1], runs[1:-1]]
     out.append(np.log1p(soft(np.log(runs + 1e-3), runs, np.log(RUN_M))))
 
-    # pieces of wall: two steps each on a ring
+    # Pieces of wall. On a ring, each has two steps.
     s = 2 if ring else 1
     piece = lambda v: v[: len(v) // s * s].reshape(-1, s, *v.shape[1:]).sum(axis=1)
     weight = piece(w)
@@ -203,7 +205,7 @@ def compare(folder):
         for scan, x, y, deg in zip(table["scan"], table["x_m"], table["y_m"], table["coverage_deg"]):
             if scan in wanted:
                 theirs[wanted[scan]] = features(np.array(x, float), np.array(y, float), deg)
-    # A return or an axis within rounding of a border may fall to either side.
+    # A return or an axis may be within a rounding error of the border of a bin.
     off = np.abs(ours - theirs) > 1e-6 * (1 + np.abs(theirs))
     worst = names[int(off.sum(axis=0).argmax())]
     n_off = int(off.any(axis=1).sum())
@@ -211,8 +213,8 @@ def compare(folder):
     assert theirs.shape == ours.shape and n_off <= 0.002 * len(ours)
 
 
-def drawn(n_scans, n_returns, seed=7):
-    """Rooms of six walls with noise and dropouts: something to measure."""
+def random_rooms(n_scans, n_returns, seed=7):
+    """Rooms of six walls with range noise."""
     rng = np.random.default_rng(seed)
     azimuth = np.linspace(0, 2 * np.pi, n_returns, endpoint=False)
     for _ in range(n_scans):
@@ -227,7 +229,7 @@ def drawn(n_scans, n_returns, seed=7):
 if __name__ == "__main__":
     if sys.argv[1] == "--time":
         features, n_scans, n_returns = SETS[sys.argv[2]], int(sys.argv[3]), int(sys.argv[4])
-        scans = list(drawn(n_scans, n_returns))
+        scans = list(random_rooms(n_scans, n_returns))
         start = time.perf_counter()
         values = [features(x, y, 360.0) for x, y in scans]
         print((time.perf_counter() - start) / n_scans)

@@ -1,11 +1,12 @@
-"""Fits the boosting learners again, in numpy and scikit-learn, and compares with a run's rounds.
+"""Fits the boosting learners in numpy and scikit-learn, and compares them with the rounds of a run.
 
 usage: learners.py RUN_FOLDER                          compares rounds.parquet, fitted on all pairs
-       learners.py --time-train N_PAIRS N_FEATURES     prints seconds of AdaBoostClassifier, T = 50
-       learners.py --time-score N_PAIRS N_FEATURES     prints seconds of its decision_function
+       learners.py --time-train N_PAIRS N_FEATURES     prints the seconds to fit AdaBoostClassifier, T = 50
+       learners.py --time-score N_PAIRS N_FEATURES     prints the seconds of its decision_function
 
-Discrete is scikit-learn's AdaBoostClassifier (SAMME) over stumps of the least weighted error: its own
-trees split by Gini impurity, which is another rule. The others are written down here from the papers.
+Discrete AdaBoost is scikit-learn's AdaBoostClassifier (SAMME) over stumps with the least weighted error.
+(scikit-learn's own trees use another rule: they split by Gini impurity.) The other learners are
+implemented here from the papers.
 """
 
 import sys
@@ -20,13 +21,13 @@ TIE = 1e-12
 
 
 def cuts(x):
-    """Order of the values, and where a threshold lies between two of them."""
+    """The order that sorts the values, and the places where two neighbours differ."""
     order = np.argsort(x, kind="stable")
     return order, np.flatnonzero(np.diff(x[order]) > 0)
 
 
 class ErrorStump(ClassifierMixin, BaseEstimator):
-    """The stump of the least weighted error; ties: lower feature, lower threshold, positive below."""
+    """The stump with the least weighted error. Ties: lower feature, lower threshold, positive below."""
 
     def fit(self, X, y, sample_weight):
         self.classes_ = np.array([-1, 1])
@@ -35,7 +36,7 @@ class ErrorStump(ClassifierMixin, BaseEstimator):
         for f in range(X.shape[1]):
             order, at = cuts(X[:, f])
             gain = np.cumsum((w * y)[order])[at]
-            below = w[y > 0].sum() - gain  # wrong where positives are below
+            below = w[y > 0].sum() - gain  # the error if positives are below
             error = np.minimum(below, 1 - below)
             if len(error) and error.min() < best - TIE:
                 k = np.flatnonzero(error <= error.min() + TIE)[0]
@@ -87,7 +88,7 @@ def gentle(X, y, n_rounds, is_line):
 
 
 def bins(x, most=256):
-    """Thresholds between bins of about equally many values, and the bin of each value."""
+    """Thresholds between bins with about the same number of values, and the bin of each value."""
     order, at = cuts(x)
     ranks = at + 1
     if len(ranks) >= most:
@@ -172,8 +173,8 @@ def compare(folder, most=50):
         print(f"{learner}: {n_rounds} rounds, {len(ours)} splits: the same features and thresholds")
 
 
-def drawn(n_pairs, n_features, seed=7):
-    """Differences that tell a little: negatives twice as wide as positives."""
+def random_pairs(n_pairs, n_features, seed=7):
+    """Weakly informative differences: those of negatives are twice as large as those of positives."""
     rng = np.random.default_rng(seed)
     y = np.where(np.arange(n_pairs) % 2 == 0, 1, -1)
     return np.abs(rng.normal(size=(n_pairs, n_features))) * np.where(y > 0, 1.0, 2.0)[:, None], y
@@ -181,7 +182,7 @@ def drawn(n_pairs, n_features, seed=7):
 
 if __name__ == "__main__":
     if sys.argv[1].startswith("--time"):
-        X, y = drawn(int(sys.argv[2]), int(sys.argv[3]))
+        X, y = random_pairs(int(sys.argv[2]), int(sys.argv[3]))
         model = AdaBoostClassifier(DecisionTreeClassifier(max_depth=1), n_estimators=50)
         n_train = len(X) if sys.argv[1] == "--time-train" else 2000
         start = time.perf_counter()

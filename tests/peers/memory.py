@@ -1,9 +1,9 @@
-"""Measures the memory that `ingest` and `inspect` need for a large log, made and deleted here.
+"""Measures the memory that `ingest` and `inspect` need for a large log. The log is temporary.
 
 usage: memory.py LOOPBOOST GIGABYTES [SCRATCH_FOLDER]
 
-The log holds packets of an HDL-32E that turns at 10 Hz past a wavy wall, in uncompressed chunks of 1
-MB, and poses at 20 Hz. The peak is that of the resident set, mapped file included.
+The log contains packets of an HDL-32E at 10 Hz in front of a wavy wall, and poses at 20 Hz. It has
+uncompressed chunks of 1 MB. The result is the peak resident set size, including the mapped file.
 """
 
 import os
@@ -18,8 +18,8 @@ from mcap.writer import CompressionType, Writer
 PACKETS, BLOCK_NS, LIMIT_MB = 181, 46_080, 300
 
 
-def turn(k):
-    """A VelodyneScan (CDR) of the k-th 181 packets."""
+def revolution(k):
+    """A VelodyneScan (CDR) with the k-th group of 181 packets."""
     n = PACKETS * 12
     block = np.arange(n) + k * n
     azimuth = block * 16589 // 1000 % 36000
@@ -52,7 +52,7 @@ def write(path, n_bytes):
             channels.append(writer.register_channel(topic, "cdr", schema))
         k = 0
         while out.tell() < n_bytes:
-            ns, data = turn(k)
+            ns, data = revolution(k)
             writer.add_message(channels[0], ns, data, ns)
             for at in range(ns // 50_000_000 * 50_000_000, ns + 50_000_000, 50_000_000):
                 writer.add_message(channels[1], at, pose(at), at)
@@ -62,10 +62,10 @@ def write(path, n_bytes):
 
 
 def peak_mb(command):
-    """Runs a command; its peak resident set [MB]."""
+    """Runs a command and returns its peak resident set size [MB]."""
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
-    # The poses of two turns overlap: some are there twice, hence 3.
+    # The poses of two revolutions overlap: the program drops the duplicates and exits with 3.
     assert os.waitstatus_to_exitcode(status) in (0, 3), command
     return usage.ru_maxrss / 1024
 
@@ -74,16 +74,16 @@ def main():
     program, gigabytes = os.path.abspath(sys.argv[1]), float(sys.argv[2])
     with tempfile.TemporaryDirectory(dir=sys.argv[3] if len(sys.argv) > 3 else None) as folder:
         log, pipeline = f"{folder}/large.mcap", f"{folder}/large.toml"
-        turns = write(log, gigabytes * 1e9)
+        n_messages = write(log, gigabytes * 1e9)
         with open(pipeline, "w") as out:
             out.write('[ingest]\nlogs = ["large.mcap"]\npose.topic = "/pose"\n')
-        print(f"{os.path.getsize(log) / 1e9:.2f} GB, {turns} messages of packets")
+        print(f"{os.path.getsize(log) / 1e9:.2f} GB, {n_messages} messages with packets")
         for what, command in [
             ("ingest", [program, "ingest", pipeline, "--out", f"{folder}/run"]),
             ("inspect", [program, "inspect", log]),
         ]:
             peak = peak_mb(command)
-            print(f"{what}: {peak:.0f} MB at its peak")
+            print(f"{what}: peak {peak:.0f} MB")
             assert peak < LIMIT_MB, f"expected less than {LIMIT_MB} MB"
 
 

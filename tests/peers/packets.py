@@ -1,10 +1,10 @@
-"""Times velodyne-decoder (PyPI, C++) on the packets of a log, on one thread.
+"""Measures the time that velodyne-decoder (PyPI, C++) needs for the packets of a log, on one thread.
 
 usage: packets.py LOG.mcap N_PACKETS RUNS
 
-Prints the seconds of each run, a line each. The packets are made ready first, so that only the
-decoder's own call is timed: the packets of a VelodyneScan (about a turn) at a time, as drivers give
-them, N_PACKETS of them by going round.
+Prints the seconds of each run, one per line. The packets are converted first, so only the decoder is
+timed. It gets the packets of one VelodyneScan (about one revolution) at a time, as from a driver. The
+capture is repeated until N_PACKETS are decoded.
 """
 
 import sys
@@ -19,20 +19,20 @@ def main():
     log, n_packets, runs = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
     capture = [vd.VelodynePacket(stamp / 1e9, list(data)) for stamp, data in packets(log)]
     per_message = 181
-    turns = []
+    revolutions = []
     for start in range(0, len(capture), per_message):
-        turn = vd.PacketVector()
+        revolution = vd.PacketVector()
         for packet in capture[start : start + per_message]:
-            turn.append(packet)
-        turns.append(turn)
+            revolution.append(packet)
+        revolutions.append(revolution)
     for _ in range(runs):
-        # All ranges, as the peer's ring alone cannot be asked for.
+        # All rings and ranges: velodyne-decoder cannot decode one ring alone.
         decoder = vd.ScanDecoder(vd.Config(min_range=0.0, max_range=1e9))
         done, start = 0, time.perf_counter()
         while done < n_packets:
-            for turn in turns:
-                decoder.decode(turn)
-                done += len(turn)
+            for revolution in revolutions:
+                decoder.decode(revolution)
+                done += len(revolution)
         print((time.perf_counter() - start) * n_packets / done)
 
 

@@ -1,11 +1,11 @@
-"""Checks a simulated log with the `mcap` and `mcap-ros2-support` packages (PyPI), and prints what
-its ring looks like, beside that of other logs.
+"""Checks a simulated log with the packages `mcap` and `mcap-ros2-support` (PyPI), and prints statistics
+of its scans next to those of other logs.
 
 usage: simulation.py LOG.mcap [OTHER.mcap ...]
 
-Of the first log, what `mcap doctor` looks at: the header, every CRC, the order of messages, that
-chunks, their indexes and the statistics agree, and that the summary repeats schemas and channels;
-and every message is decoded. Of each log the statistics of laser 15 (ROS 2 encoding).
+For the first log the script makes the checks of `mcap doctor`: the header, every CRC, the order of
+messages, that chunks, indexes and statistics agree, and that the summary repeats schemas and channels.
+It also decodes every message. For each log (ROS 2 encoding) it prints statistics of laser 15.
 """
 
 import collections
@@ -26,7 +26,7 @@ METRES_PER_COUNT = 0.002
 
 
 def check(path):
-    """Reads a log front to back and through its indexes, and holds both against its statistics."""
+    """Reads a log from start to end and through its indexes, and compares both with its statistics."""
     found = collections.Counter()
     with open(path, "rb") as log:
         last = 0
@@ -62,11 +62,11 @@ def check(path):
         assert n == statistics.message_count
     assert topics == {"/velodyne_packets", "/ground_truth", "/imu/data", "/wheel_states", "/tf", "/tf_static"}
     assert frames == {("map", "odom"), ("odom", "base_link"), ("base_link", "velodyne")}
-    print(f"{path}: {n} messages in {statistics.chunk_count} chunks, no fault")
+    print(f"{path}: {n} messages in {statistics.chunk_count} chunks, no faults")
 
 
 def check_chunk(log, index):
-    """Holds a chunk against its index."""
+    """Compares a chunk with its index."""
     log.seek(index.chunk_start_offset + 1 + 8)
     chunk = mcap.records.Chunk.read(mcap.data_stream.ReadDataStream(log))
     assert chunk.compression == index.compression, (chunk.compression, index.compression)
@@ -84,7 +84,7 @@ def check_chunk(log, index):
 
 
 def statistics(path):
-    """What a ring looks like, in words and numbers."""
+    """Statistics of a ring: name and value."""
     stamps, payloads = zip(*itertools.islice(packets(path), 20_000))
     blocks = np.concatenate([np.frombuffer(p[:1200], np.uint8).reshape(12, 100) for p in payloads])
     azimuth = blocks[:, 2].astype(int) + 256 * blocks[:, 3].astype(int)
@@ -95,7 +95,7 @@ def statistics(path):
     mean_step = np.median(steps)
     range_m = counts[:, 15] * METRES_PER_COUNT
     angle = np.deg2rad(azimuth / 100)
-    # A straight wall is 1/r = a cos + b sin; of every window of 15 returns the deviation from it.
+    # A straight wall is 1/r = a cos + b sin. The deviation from it in windows of 15 returns.
     deviations = []
     for k in range(0, len(range_m) - 15, 5):
         r, t = range_m[k : k + 15], angle[k : k + 15]
@@ -107,7 +107,7 @@ def statistics(path):
     both = (range_m[:-1] > 0) & (range_m[1:] > 0)
     points = np.c_[range_m * np.cos(angle), range_m * np.sin(angle)]
     spacing = np.linalg.norm(np.diff(points, axis=0), axis=1)[both] / range_m[:-1][both]
-    # Where nothing stands, beams miss side by side; single ones are lost on what stands there.
+    # Open space gives wide gaps. Single missing returns are lost on surfaces.
     is_missing = counts[:, 15] == 0
     gaps = [(miss, len(list(run))) for miss, run in itertools.groupby(is_missing)]
     wide = sum(n for miss, n in gaps if miss and 3.0 <= n * mean_step / 100) / len(is_missing)
@@ -116,7 +116,7 @@ def statistics(path):
         ("returns of laser 15", f"{(range_m > 0).mean():.3f}"),
         ("missing in gaps of 3 deg and more, in smaller ones",
          f"{wide:.3f}, {is_missing.mean() - wide:.3f}"),
-        ("returns of the lasers that have any", f"{(counts > 0)[:, (counts > 0).any(0)].mean():.3f}"),
+        ("returns of the lasers with any returns", f"{(counts > 0)[:, (counts > 0).any(0)].mean():.3f}"),
         ("noise on a flat wall [mm], quartile and median",
          f"{1000 * np.quantile(deviations, 0.25):.1f}, {1000 * np.median(deviations):.1f}"),
         ("point spacing / range [mrad], quartile and median",

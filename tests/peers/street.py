@@ -2,8 +2,9 @@
 
 usage: street.py LOG.mcap SCANS.parquet
 
-Each return of ring 23 (laser 15 in firing order) that velodyne-decoder gives for a turn must be in
-the table, in order, and no other: range within 5 mm, azimuth within 0.02 deg.
+The table must contain exactly the returns of ring 23 (laser 15 in firing order) that velodyne-decoder
+gives for each revolution, in the same order. Ranges must agree within 5 mm and azimuths within 0.02
+deg.
 """
 
 import struct
@@ -18,7 +19,7 @@ RANGE_MIN_M, RANGE_MAX_M = 0.9, 70.0  # the defaults of [ingest.lidar]
 
 
 def packets(path):
-    """Stamp [ns] and bytes of each packet of a CDR VelodyneScan log."""
+    """Stamp [ns] and bytes of each packet of a log with VelodyneScan messages in CDR."""
     with open(path, "rb") as log:
         reader = mcap.reader.make_reader(log)
         for _, _, message in reader.iter_messages(topics=["/velodyne_packets"]):
@@ -41,7 +42,7 @@ def reference(log):
         one.append(vd.VelodynePacket(stamp / 1e9, list(data)))
         points = np.asarray(decoder.decode(one)[1], float)
         ring = points[points[:, 6] == 23]
-        firing.append(12 * n + ring[:, 5].astype(int))  # the column is the block
+        firing.append(12 * n + ring[:, 5].astype(int))  # this column is the block
         azimuth.append(np.rad2deg(np.arctan2(-ring[:, 1], ring[:, 0])) % 360)
         range_m.append(np.linalg.norm(ring[:, :3], axis=1))
         azimuths += [struct.unpack_from("<H", data, 100 * block + 2)[0] for block in range(12)]
@@ -61,12 +62,12 @@ def main():
     assert len(scans) == len(cuts) - 1, f"{len(scans)} scans, {len(cuts)} cuts"
     for scan, first, end in zip(scans, cuts, cuts[1:]):
         assert scan["stamp_ns"] == times[first], (scan["stamp_ns"], times[first])
-        of_turn = keep & (firing >= first) & (firing < end)
+        of_revolution = keep & (firing >= first) & (firing < end)
         x, y = np.array(scan["x_m"]), np.array(scan["y_m"])
-        assert len(x) == of_turn.sum(), (len(x), of_turn.sum())
-        azimuth_error = np.rad2deg(np.arctan2(-y, x)) - azimuth[of_turn]
+        assert len(x) == of_revolution.sum(), (len(x), of_revolution.sum())
+        azimuth_error = np.rad2deg(np.arctan2(-y, x)) - azimuth[of_revolution]
         azimuth_error = np.abs((azimuth_error + 180) % 360 - 180).max()
-        range_error = np.abs(np.hypot(x, y) - range_m[of_turn]).max()
+        range_error = np.abs(np.hypot(x, y) - range_m[of_revolution]).max()
         print(f"scan {scan['scan']}: {len(x)} returns, {azimuth_error:.4f} deg, {range_error * 1000:.4f} mm")
         assert azimuth_error <= 0.02 and range_error <= 0.005
 

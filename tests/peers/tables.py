@@ -1,8 +1,8 @@
-"""Runs the queries of docs/tables.md in a run folder and compares with what stands under them.
+"""Runs the queries of docs/tables.md in a run folder and compares the results with the document.
 
 usage: tables.py DOCS.md RUN_FOLDER [--write]
 
-Also opens every table with Polars and pandas. With --write the document is brought up to date.
+Also opens every table with Polars and pandas. `--write` updates the document instead.
 """
 
 import glob
@@ -37,5 +37,5 @@ for path in glob.glob("**/*.parquet", recursive=True):
     assert polars.read_parquet(path).height == rows and rows > 0, path
 if "--write" in sys.argv:
     open(document, "w").write(queried)
-assert queried == text or "--write" in sys.argv, f"{document} is not what the tables give:\n{queried}"
-print(f"{n} queries, as documented")
+assert queried == text or "--write" in sys.argv, f"{document} differs from the results of its queries (update it with --write):\n{queried}"
+print(f"{n} queries agree with the document")
