@@ -1,5 +1,5 @@
-//! Many logs at once: the bad ones are named, the good ones are done; the files of a drive that was
-//! split are joined.
+//! Many logs in one run: an unreadable log is named and the others are ingested. The files of a split
+//! drive become one log.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -37,7 +37,7 @@ fn use_pipeline(workplace: &Workplace, pipeline: &str) {
 }
 
 #[test]
-fn one_bad_log_is_named_and_the_others_are_done() {
+fn an_unreadable_log_is_named_and_the_others_are_ingested() {
     let workplace = simulated();
     fs::create_dir(workplace.path("logs")).unwrap();
     for log in ["one", "two"] {
@@ -58,14 +58,14 @@ fn one_bad_log_is_named_and_the_others_are_done() {
     for log in ["one", "two"] {
         assert!(names.contains(&format!("scans/{log}.parquet")), "{names:?}");
     }
-    // The stages behind know that it is not there, in the same run and in a later one.
+    // Later stages work without it, in the same run and in the next one.
     workplace.command("subsample", "batch", &[]).expect(0);
     workplace.command("ingest", "batch", &[]).expect(3);
-    // Once the log is put right it takes part.
+    // A repaired log takes part again.
     fs::copy(workplace.path("logs/one.mcap"), workplace.path("logs/bag.mcap")).unwrap();
     workplace.command("ingest", "batch", &[]).expect(0);
     workplace.command("subsample", "batch", &[]).expect(0);
-    // Where every log is bad there is nothing to go on with.
+    // If no log can be read, the run fails.
     for log in ["one", "two", "bag"] {
         fs::write(workplace.path(&format!("logs/{log}.mcap")), "").unwrap();
     }
@@ -76,7 +76,7 @@ fn one_bad_log_is_named_and_the_others_are_done() {
     ]);
 }
 
-/// Writes the messages of a log into `n` files, one after the other.
+/// Splits the messages of a log into `n` files.
 fn split(log: &Path, n: usize) -> Vec<Vec<u8>> {
     let bytes = fs::read(log).unwrap();
     let messages: Vec<_> =
@@ -93,15 +93,15 @@ fn split(log: &Path, n: usize) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn the_files_of_a_split_drive_are_one_log() {
+fn the_files_of_a_split_drive_become_one_log() {
     let workplace = simulated();
     let whole = workplace.path("out/logs/one.mcap");
     fs::create_dir_all(workplace.path("logs/monday")).unwrap();
-    // By name they are out of order: time decides.
+    // The order of the names differs from the order in time, which decides.
     for (name, part) in ["c", "a", "b"].into_iter().zip(split(&whole, 3)) {
         fs::write(workplace.path(&format!("logs/monday/{name}.mcap")), part).unwrap();
     }
-    // Another drive beside it.
+    // Another drive in the same folder.
     fs::create_dir(workplace.path("logs/tuesday")).unwrap();
     fs::copy(workplace.path("out/logs/two.mcap"), workplace.path("logs/tuesday/two.mcap")).unwrap();
     use_pipeline(&workplace, BATCH);
@@ -120,10 +120,10 @@ fn the_files_of_a_split_drive_are_one_log() {
     assert!(names.contains_key("scans/two.parquet"));
 }
 
-/// Two drives in one folder, neither of which goes on where the other ends, stay two logs; a
-/// `metadata.yaml` of rosbag2 makes its folder one drive.
+/// Two drives in one folder stay two logs if neither starts where the other ends. The `metadata.yaml`
+/// of rosbag2 makes its folder one drive.
 #[test]
-fn drives_of_one_folder_are_told_apart() {
+fn separate_drives_in_one_folder_stay_separate_logs() {
     let workplace = simulated();
     use_pipeline(&workplace, &BATCH.replace("\"logs\"", "\"out/logs\""));
     let finished = workplace.command("ingest", "apart", &[]).expect(0);
@@ -146,8 +146,8 @@ fn drives_of_one_folder_are_told_apart() {
     finished.says(&["file of a split drive that cannot be read", "bag_1.mcap"]);
 }
 
-/// Two robots that drive at the same time, with the same topics and split at the same moment: names
-/// tell whose file is whose.
+/// Two robots drive at the same time and record the same topics. Their logs are split at the same
+/// time. The file names show which files belong together.
 #[test]
 fn files_of_two_robots_are_not_mixed() {
     let workplace = simulated();
@@ -162,7 +162,7 @@ fn files_of_two_robots_are_not_mixed() {
     for says in ["A_0.mcap, A_1.mcap", "B_0.mcap, B_1.mcap"] {
         assert!(finished.stdout.contains(says), "{}", finished.stdout);
     }
-    // Where names do not tell, nothing is joined.
+    // If the names do not show it, no files are combined.
     for (from, to) in [("A_0", "north"), ("A_1", "east"), ("B_0", "south"), ("B_1", "west")] {
         let path = |name: &str| workplace.path(&format!("logs/{name}.mcap"));
         fs::rename(path(from), path(to)).unwrap();

@@ -1,5 +1,6 @@
-//! The same measurements in every encoding, written by the libraries of others
-//! (`tests/peers/encodings.py`), give the same scans and poses; skipped where those are absent.
+//! The same measurements in every encoding give the same scans and poses. `tests/peers/encodings.py`
+//! writes the logs with other libraries, from recorded data. The `made_` tests do the same on data made
+//! in code.
 
 use std::fs;
 use std::path::Path;
@@ -24,7 +25,7 @@ const MODULES: [&str; 7] = [
 struct Group {
     name: &'static str,
     options: &'static [&'static str],
-    /// The ring that the scans are of; of clouds.
+    /// The ring of the scans; empty if the logs have no clouds.
     ring: &'static str,
     code: i32,
 }
@@ -52,14 +53,14 @@ fn every_encoding_gives_the_same() {
     let logs = workplace.path("logs");
     let script = |args: &[&Path]| {
         let output = Command::new(&python)
-            .arg("-B") // leaves no bytecode beside the scripts
+            .arg("-B") // writes no bytecode next to the scripts
             .arg(root().join("tests/peers/encodings.py"))
             .args(args)
             .output()
             .unwrap();
-        let said = String::from_utf8_lossy(&output.stdout).into_owned();
-        assert!(output.status.success(), "{said}\n{}", String::from_utf8_lossy(&output.stderr));
-        print!("{said}");
+        let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(output.status.success(), "{printed}\n{}", String::from_utf8_lossy(&output.stderr));
+        print!("{printed}");
     };
     script(&[Path::new("write"), &data, &logs]);
     let reference = logs.join("packets/reference.mcap");
@@ -71,7 +72,7 @@ fn every_encoding_gives_the_same() {
         let out = k.to_string();
         let of_group = files(&logs.join(group.name));
         let finished = ingest(&workplace, &out, &of_group, group.options).expect(group.code);
-        check_what_is_said(group.name, &finished);
+        check_output(group.name, &finished);
         check_inspect(group.name, &of_group);
         let [compare, name, ring] = ["compare", group.name, group.ring].map(Path::new);
         let run = workplace.path(&out);
@@ -101,16 +102,16 @@ fn files(folder: &Path) -> Vec<String> {
 /// `inspect` finds what `ingest` can read: a lidar in every log, poses where the log has some.
 fn check_inspect(group: &str, logs: &[String]) {
     for log in logs {
-        let told = loopboost(&["inspect", log]).stdout;
-        assert!(told.contains("suggested pipeline"), "{told}");
+        let printed = loopboost(&["inspect", log]).stdout;
+        assert!(printed.contains("suggested pipeline"), "{printed}");
         let has_poses = ["planar", "bare"].contains(&group);
-        assert_eq!(has_poses, told.contains("pose.topic = \"/pose\""), "{told}");
+        assert_eq!(has_poses, printed.contains("pose.topic = \"/pose\""), "{printed}");
     }
 }
 
-/// A line of stdout is a log's: what had to be guessed or put right is told there; what was lost
-/// is summed up on stderr.
-fn check_what_is_said(group: &str, finished: &Finished) {
+/// Each line of stdout is about one log and lists what was assumed or corrected. stderr lists the sum
+/// of all losses.
+fn check_output(group: &str, finished: &Finished) {
     for line in finished.stdout.lines() {
         let is_bare = line.contains("-schema-none:");
         assert_eq!(
@@ -124,8 +125,8 @@ fn check_what_is_said(group: &str, finished: &Finished) {
     let n_bare = finished.stdout.matches("-schema-none:").count();
     assert_eq!(n_bare > 0, ["packets", "clouds", "bare"].contains(&group), "{group}");
     if group == "lossy" {
-        // Of 18 logs six have 72 packets twice, six have 10 position packets and six have both,
-        // where every seventh packet that comes twice is once a position packet: 72 and 11.
+        // Six of the 18 logs have 72 duplicate packets and six have 10 position packets. The other
+        // six have both; there, one of the duplicates is a position packet: 72 and 11.
         let expected =
             ["864 duplicate packets", "126 packets without the layout of an HDL-32E data packet"];
         for text in expected {

@@ -1,4 +1,4 @@
-//! What goes wrong is named, with what to do, and has its exit code.
+//! Errors name what is wrong and what to do, and set the exit code.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -92,12 +92,12 @@ fn workplace(pipeline: &str) -> Workplace {
 }
 
 #[test]
-fn the_small_log_itself_is_good() {
+fn the_small_log_has_no_errors() {
     workplace(PIPELINE).command("run", "out", &[]).expect(0);
 }
 
 #[test]
-fn usage_errors_exit_2() {
+fn usage_errors_exit_with_2() {
     loopboost(&["walk"]).expect(2).says(&["unrecognized subcommand"]);
     loopboost(&["run", "no.toml", "--out", "x"])
         .expect(2)
@@ -125,7 +125,7 @@ fn usage_errors_exit_2() {
 }
 
 #[test]
-fn a_wrong_topic_or_schema_fails() {
+fn a_wrong_topic_or_schema_is_an_error() {
     workplace(PIPELINE)
         .command("ingest", "out", &["--set", "ingest.lidar.topic=/laser"])
         .expect(1)
@@ -148,7 +148,7 @@ fn a_wrong_topic_or_schema_fails() {
 }
 
 #[test]
-fn poses_of_a_frame_of_their_own_do_not_meet_those_of_another_log() {
+fn poses_in_a_frame_of_their_own_cannot_share_a_site() {
     let pipeline = "[ingest]\nlogs = [\"a.mcap\", \"b.mcap\"]\nsite = \"mit\"\npose = { wheels = \"/wheels\", track_m = 0.5 }\n";
     workplace(pipeline)
         .command("ingest", "out", &[])
@@ -161,7 +161,7 @@ fn poses_of_a_frame_of_their_own_do_not_meet_those_of_another_log() {
 }
 
 #[test]
-fn no_poses_is_an_error_where_poses_are_needed() {
+fn a_log_without_poses_is_an_error_in_subsample() {
     let workplace = workplace(&PIPELINE.replace("pose.topic = \"/pose\"", ""));
     workplace.command("ingest", "out", &[]).expect(0);
     workplace
@@ -171,7 +171,7 @@ fn no_poses_is_an_error_where_poses_are_needed() {
 }
 
 #[test]
-fn a_truncated_log_keeps_what_it_holds_and_exits_3() {
+fn a_truncated_log_keeps_its_complete_messages_and_exits_with_3() {
     let workplace = workplace(PIPELINE);
     let whole = log(200);
     fs::write(workplace.path("a.mcap"), &whole[..whole.len() * 3 / 4]).unwrap();
@@ -184,13 +184,13 @@ fn a_truncated_log_keeps_what_it_holds_and_exits_3() {
     );
     finished
         .says(&["warning: some data could not be used", "1 end of the file cut off (no footer"]);
-    // The report says so too.
+    // The report contains the same warning.
     let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
     assert!(report.contains("1 end of the file cut off"));
 }
 
 #[test]
-fn what_is_no_log_fails() {
+fn a_file_that_is_not_mcap_or_is_missing_is_an_error() {
     let workplace = workplace(PIPELINE);
     fs::write(workplace.path("a.mcap"), b"#ROSBAG V2.0\n").unwrap();
     workplace.command("run", "out", &[]).expect(1).says(&[
@@ -211,9 +211,9 @@ fn what_is_no_log_fails() {
 }
 
 #[test]
-fn too_few_pairs_says_how_many_there_are() {
-    // 200 keyframes half a metre apart: the 99 x 100 / 2 pairs at least 101 steps apart are
-    // farther than 50 m; 199 + 198 + 197 are within 1.5 m.
+fn too_few_pairs_is_an_error_that_states_their_number() {
+    // 200 keyframes are 0.5 m apart. The 99 x 100 / 2 pairs at least 101 steps apart are more than
+    // 50 m apart, and 199 + 198 + 197 pairs are within 1.5 m.
     workplace(PIPELINE)
         .command("run", "out", &["--set", "label.pairs_per_class=1218"])
         .expect(1)
@@ -226,7 +226,7 @@ fn too_few_pairs_says_how_many_there_are() {
 }
 
 #[test]
-fn a_stage_without_its_input_names_the_command_that_makes_it() {
+fn a_missing_input_is_an_error_that_names_the_command_to_run() {
     let workplace = workplace(PIPELINE);
     for (stage, before) in [
         ("subsample", "ingest"),
@@ -243,10 +243,10 @@ fn a_stage_without_its_input_names_the_command_that_makes_it() {
 }
 
 #[test]
-fn a_stage_takes_no_table_made_with_other_options_or_from_other_files() {
+fn a_table_made_with_other_options_or_inputs_is_an_error() {
     let workplace = workplace(PIPELINE);
     workplace.command("run", "out", &[]).expect(0);
-    // Options that pairs, features and scans were not made with.
+    // The pairs, features and scans were made with other options.
     for (option, says) in [
         (
             "label.positive_radius_m=2.9",
@@ -261,7 +261,7 @@ fn a_stage_takes_no_table_made_with_other_options_or_from_other_files() {
     ] {
         workplace.command("train", "out", &["--set", option]).expect(1).says(&says);
     }
-    // Keyframes made anew: pairs and features are of the old ones.
+    // The keyframes are new; the pairs and features belong to the old ones.
     let spacing = ["--set", "subsample.spacing_m=1"];
     let few = [&spacing[..], &["--set", "label.pairs_per_class=40"]].concat();
     workplace.command("subsample", "out", &spacing).expect(0);
@@ -278,10 +278,10 @@ fn a_stage_takes_no_table_made_with_other_options_or_from_other_files() {
     workplace.command("train", "out", &few).expect(0);
 }
 
-/// Fixes of two logs of one site need one origin; the pose source of one log takes the place of the
-/// common one.
+/// Satellite fixes of two logs of one site need a common origin. The pose source of one log replaces
+/// the common one.
 #[test]
-fn fixes_of_one_site_need_one_origin() {
+fn satellite_fixes_of_one_site_need_a_common_origin() {
     let workplace = workplace(&PIPELINE.replace("[\"a.mcap\"]", "[\"a.mcap\", \"b.mcap\"]"));
     fs::write(workplace.path("b.mcap"), log(200)).unwrap();
     let site = ["--set", "ingest.site=campus"];
@@ -314,7 +314,7 @@ fn later_stages_do_not_need_the_logs() {
 }
 
 #[test]
-fn paths_may_hold_the_letters_of_globs() {
+fn paths_may_contain_the_characters_of_globs() {
     let workplace = workplace(&PIPELINE.replace("a.mcap", "drives [1]/a.mcap"));
     fs::create_dir(workplace.path("drives [1]")).unwrap();
     fs::rename(workplace.path("a.mcap"), workplace.path("drives [1]/a.mcap")).unwrap();
@@ -324,7 +324,7 @@ fn paths_may_hold_the_letters_of_globs() {
 }
 
 #[test]
-fn two_logs_of_one_name_and_strays_are_refused() {
+fn two_logs_with_one_name_and_options_of_an_unknown_log_are_errors() {
     let workplace = workplace(&PIPELINE.replace("[\"a.mcap\"]", "[\"a.mcap\", \"b\"]"));
     fs::create_dir(workplace.path("b")).unwrap();
     fs::write(workplace.path("b/a.mcap"), log(5)).unwrap();
@@ -340,7 +340,7 @@ fn two_logs_of_one_name_and_strays_are_refused() {
 }
 
 #[test]
-fn a_folder_that_cannot_be_written_is_named() {
+fn a_folder_that_cannot_be_created_is_named() {
     let workplace = workplace(PIPELINE);
     fs::write(workplace.path("out"), b"a file").unwrap();
     workplace.command("ingest", "out", &[]).expect(1).says(&["cannot create folder", "out"]);

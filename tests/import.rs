@@ -1,4 +1,4 @@
-//! `import`: the same measurements from a network capture give the same scans.
+//! `import`: a network capture gives the same scans as the log.
 
 use std::fs;
 
@@ -9,8 +9,8 @@ use crate::support::{Workplace, loopboost};
 
 const SIMULATED: &str = "seed = 7\n[simulate]\nlogs = [\"drive\"]\nlength_m = 12.0\npeople = 0\n";
 
-/// A capture in the format of libpcap, times in nanoseconds (draft-ietf-opsawg-pcap): a record a
-/// packet, each an Ethernet frame with an IPv4 datagram from 192.168.1.201 to port 2368.
+/// A capture in libpcap format with times in nanoseconds (draft-ietf-opsawg-pcap). Each record is an
+/// Ethernet frame with an IPv4 datagram from 192.168.1.201 to port 2368.
 fn capture(packets: &[(i64, Vec<u8>)]) -> Vec<u8> {
     let mut out = Vec::new();
     for word in [0xa1b2_3c4d_u32, 0x0004_0002, 0, 0, 65_535, 1] {
@@ -55,9 +55,9 @@ fn a_capture_gives_the_same_scans_as_the_log_it_was_made_from() {
 
     let imported = workplace.path("imported.mcap");
     let args = ["import", pcap.to_str().unwrap(), "--out", imported.to_str().unwrap(), "--json"];
-    let told = loopboost(&args).expect(0).stdout;
-    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
-    assert_eq!(told["topics"][0]["topic"], "/velodyne_packets");
+    let printed = loopboost(&args).expect(0).stdout;
+    let printed: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!(printed["topics"][0]["topic"], "/velodyne_packets");
     loopboost(&args).expect(1).says(&["imported.mcap already exists"]);
 
     for (out, log) in [("original", "out/logs/drive.mcap"), ("capture", "imported.mcap")] {

@@ -43,7 +43,7 @@ fn poses_fused_from_simulated_wheels_and_imu_stay_near_the_truth() {
 }
 
 #[test]
-fn inspect_draws_the_path_and_what_is_known_of_it() {
+fn inspect_plots_the_path_and_its_uncertainty() {
     let workplace = Workplace::new(DRIVE);
     workplace.command("simulate", "out", &[]).expect(0);
     let log = workplace.path("out/logs/one.mcap");
@@ -53,30 +53,30 @@ fn inspect_draws_the_path_and_what_is_known_of_it() {
         let finished = loopboost(&args).expect(0);
         (finished.stderr, fs::read_to_string(&drawn).unwrap())
     };
-    // 10 m of true poses, which do not tell how well they are known. At 2 m/s and 10 Hz every third
-    // scan is 0.5 m on: 0.6 m apart, 16 or 17, or some more where it is slower.
+    // 10 m of true poses without covariances. At 2 m/s and 10 Hz, every third scan is a keyframe (0.6
+    // m apart). That gives 16 or 17 keyframes, and some more where the robot is slower.
     let (_, svg) = plot(&[]);
     assert!(svg.contains("class=\"path-line\"") && !svg.contains("class=\"path-sure\""), "{svg}");
     let n_kept = svg.matches(", scan ").count();
     assert!((16..=20).contains(&n_kept), "{n_kept} scans");
-    // The same, fused from wheels and imu.
-    let (said, svg) = plot(&["--track-m", "0.5"]);
-    assert!(said.contains("poses fused from"), "{said}");
+    // Poses fused from wheels and IMU have covariances.
+    let (printed, svg) = plot(&["--track-m", "0.5"]);
+    assert!(printed.contains("poses fused from"), "{printed}");
     assert!(10 < svg.matches("class=\"path-sure\"").count(), "{svg}");
     let other = loopboost(&["inspect", log, "--plot", "one.png"]).expect(1);
     assert!(other.stderr.contains("ends in .svg"), "{}", other.stderr);
 }
 
-/// Files and options that docs/poses.md names are there.
+/// Files and options that docs/poses.md names exist.
 #[test]
-fn what_the_page_on_poses_names_is_there() {
+fn everything_that_the_page_on_poses_names_exists() {
     let page = fs::read_to_string(root().join("docs/poses.md")).unwrap();
     let mut n_files = 0;
     for word in page.split('`').skip(1).step_by(2) {
         for path in word.split_whitespace().filter(|path| {
             ["crates/", "docs/", "tests/"].iter().any(|folder| path.starts_with(folder))
         }) {
-            assert!(root().join(path).exists(), "`{path}` is not there");
+            assert!(root().join(path).exists(), "`{path}` does not exist");
             n_files += 1;
         }
     }
@@ -85,7 +85,7 @@ fn what_the_page_on_poses_names_is_there() {
     let pipeline = format!("[ingest]\nlogs = [\"a.mcap\"]\nlidar.topic = \"/a\"\n{options}");
     let workplace = Workplace::new(&pipeline);
     let finished = workplace.command("run", "out", &["--print-config"]).expect(0);
-    // Every key is known, and its value is the one that the page gives.
+    // Every key exists and has the value on the page.
     for line in options.lines().filter(|line| line.contains(" = ") && !line.contains('{')) {
         let line = line.split('#').next().unwrap().trim();
         let (key, value) = line.split_once(" = ").unwrap();
@@ -96,7 +96,7 @@ fn what_the_page_on_poses_names_is_there() {
         };
         assert!(finished.stdout.lines().any(is_it), "`{line}` is not in {}", finished.stdout);
     }
-    // Columns that it names are those that are written.
+    // The tables have the columns that the page names.
     let workplace = Workplace::new(DRIVE);
     workplace.command("simulate", "out", &[]).expect(0);
     workplace.command("ingest", "out", &[]).expect(0);

@@ -1,4 +1,4 @@
-//! A run that is repeated, changed, killed, or short of disk.
+//! Runs that are repeated, changed, killed, or that run out of disk space.
 
 use std::fs;
 use std::process::{Command, Stdio};
@@ -27,7 +27,8 @@ pairs_per_class = 60
 rounds = 10
 "#;
 
-/// The tasks that a run did, by the first words of its lines; those left alone say `(unchanged)`.
+/// The tasks that a run executed, from the first words of its lines. Lines of other tasks end in
+/// `(unchanged)`.
 fn done(finished: &Finished) -> Vec<String> {
     let mut done: Vec<String> = finished
         .stdout
@@ -49,29 +50,29 @@ fn done(finished: &Finished) -> Vec<String> {
 }
 
 #[test]
-fn only_what_has_changed_is_done_again() {
+fn only_tasks_with_changes_run_again() {
     let workplace = Workplace::new(PIPELINE);
     let run = |more: &[&str]| workplace.command("run", "out", more).expect(0);
     assert_eq!(done(&run(&[])).len(), 9);
     let first = workplace.files("out");
     assert_eq!(done(&run(&[])), [""; 0], "nothing has changed");
 
-    // Another label option touches nothing before `label`.
+    // A label option changes no stage before `label`.
     let after = done(&run(&["--set", "label.positive_radius_m=2"]));
     assert_eq!(after, ["label", "train", "evaluate"]);
-    // Back again: the models are those there already, no version is added for the old content.
+    // With the old option, the run finds the old models and adds no version.
     let models = |files: &std::collections::BTreeMap<String, Vec<u8>>| {
         files.keys().filter(|name| name.ends_with("model.json")).count()
     };
     assert_eq!(models(&workplace.files("out")), 6);
     run(&[]);
     let mut back = workplace.files("out");
-    assert_eq!(models(&back), 6, "1.0.0 is found again");
+    assert_eq!(models(&back), 6, "version 1.0.0 is used again");
     back.retain(|name, _| !name.contains("/1.1.0/"));
     assert!(back == first);
 
-    // What was altered or removed by hand is made again, and what depends on it is left alone
-    // where it comes out the same.
+    // Files that were changed or removed by hand are made again. Later tasks do not run if the new
+    // files equal the old ones.
     fs::remove_file(workplace.path("out/features.parquet")).unwrap();
     fs::write(workplace.path("out/poses/back.parquet"), b"spoiled").unwrap();
     assert_eq!(done(&run(&[])), ["ingest back", "featurize"]);
@@ -100,7 +101,7 @@ fn a_log_added_is_the_only_one_ingested() {
 }
 
 #[test]
-fn a_dry_run_tells_what_would_be_done_and_why_and_does_nothing() {
+fn a_dry_run_shows_what_would_run_and_why_without_running_it() {
     let workplace = Workplace::new(PIPELINE);
     let dry = |more: &[&str]| {
         let mut args = vec!["--dry-run"];
@@ -112,14 +113,14 @@ fn a_dry_run_tells_what_would_be_done_and_why_and_does_nothing() {
     workplace.command("run", "out", &[]).expect(0);
     let before = workplace.files("out");
     assert!(dry(&[]).lines().all(|line| line.ends_with("up to date")), "{}", dry(&[]));
-    let told = dry(&["--set", "label.positive_radius_m=2", "--force", "featurize"]);
+    let printed = dry(&["--set", "label.positive_radius_m=2", "--force", "featurize"]);
     for line in [
         "label                    would run: positive_radius_m: 1.5 -> 2.0",
         "featurize                would run: forced",
         "train                    would run if its inputs change: pairs.parquet may change, features.parquet may change, feature_stability.parquet may change",
         "subsample                up to date",
     ] {
-        assert!(told.contains(line), "`{line}` is not in:\n{told}");
+        assert!(printed.contains(line), "`{line}` is not in:\n{printed}");
     }
     assert!(workplace.files("out") == before);
 }
@@ -140,10 +141,10 @@ fn a_new_number_of_resamples_retrains_nothing() {
 }
 
 #[test]
-fn losses_are_told_again_by_a_run_that_does_nothing() {
+fn a_run_without_changes_repeats_the_losses() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "out", &[]).expect(0);
-    // The same logs as files, one of them cut.
+    // The same logs as files, one of them truncated.
     let log = fs::read(workplace.path("out/logs/there.mcap")).unwrap();
     fs::write(workplace.path("there.mcap"), &log[..log.len() * 9 / 10]).unwrap();
     fs::copy(workplace.path("out/logs/back.mcap"), workplace.path("back.mcap")).unwrap();
@@ -155,10 +156,10 @@ fn losses_are_told_again_by_a_run_that_does_nothing() {
     }
 }
 
-/// Killed at pseudo-random moments and run again, a run ends with the same bytes.
-/// `LOOPBOOST_KILLS` sets how often; with it the quickstart is what is killed.
+/// A run is killed at pseudo-random times and resumed. It ends with the same bytes.
+/// `LOOPBOOST_KILLS` sets the number of kills, and makes the test use the quickstart.
 #[test]
-fn a_run_killed_at_any_moment_ends_with_the_same_bytes() {
+fn a_killed_run_resumes_to_the_same_bytes() {
     let quickstart = fs::read_to_string(crate::support::root().join("pipelines/quickstart.toml"));
     let workplace = match std::env::var("LOOPBOOST_KILLS") {
         Ok(_) => Workplace::new(&quickstart.unwrap()),
@@ -170,7 +171,7 @@ fn a_run_killed_at_any_moment_ends_with_the_same_bytes() {
     let expected = workplace.files("whole");
     let n: u64 = std::env::var("LOOPBOOST_KILLS").map_or(8, |n| n.parse().expect("a number"));
     let (mut n_killed, mut k) = (0, 0);
-    // A run that had ended already does not count.
+    // A run that ended before the kill does not count.
     while n_killed < n {
         k += 1;
         assert!(k < 10 * n + 10, "{n_killed} kills in {k} runs");
@@ -181,7 +182,7 @@ fn a_run_killed_at_any_moment_ends_with_the_same_bytes() {
             .stdout(Stdio::null())
             .spawn()
             .unwrap();
-        // Somewhere in the run, by a multiplicative sequence over its length.
+        // A pseudo-random time within the run.
         std::thread::sleep(Duration::from_millis((k * 7919 + 37) % (whole_ms * 3 / 4).max(2)));
         n_killed += u64::from(child.try_wait().unwrap().is_none());
         child.kill().unwrap();
@@ -203,7 +204,7 @@ fn a_run_killed_at_any_moment_ends_with_the_same_bytes() {
 }
 
 #[test]
-fn a_second_run_on_the_same_folder_is_refused() {
+fn a_second_run_in_the_same_folder_is_an_error() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "out", &[]).expect(0);
     let lock = fs::File::open(workplace.path("out/.lock")).unwrap();
@@ -216,16 +217,16 @@ fn a_second_run_on_the_same_folder_is_refused() {
     workplace.command("run", "out", &[]).expect(0);
 }
 
-/// A disk that takes no more, by a limit on the size of files: nothing half written is taken for
-/// whole, and the next run goes on.
+/// A limit on the size of files simulates a full disk. The run leaves no incomplete file, and the next
+/// run resumes.
 #[test]
 #[cfg(target_os = "linux")]
-fn a_full_disk_is_named_and_leaves_nothing_half_written() {
+fn a_full_disk_is_an_error_and_leaves_no_incomplete_file() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "whole", &[]).expect(0);
     workplace.command("simulate", "out", &[]).expect(0);
     let program = assert_cmd::cargo::cargo_bin!("loopboost");
-    // 512-byte or 1024-byte blocks, as the shell has it: less than a scans table either way.
+    // The shell counts blocks of 512 or 1024 bytes; both limits are smaller than a table of scans.
     let script = format!(
         "trap '' XFSZ; ulimit -f 400; exec {} run {} --out {}",
         program.display(),
@@ -247,7 +248,7 @@ fn a_full_disk_is_named_and_leaves_nothing_half_written() {
 }
 
 #[test]
-fn log_and_verify_tell_where_things_come_from_and_what_has_changed() {
+fn lineage_and_verify_show_the_sources_and_the_changes_of_files() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "out", &[]).expect(0);
     let out = workplace.path("out");
@@ -255,27 +256,27 @@ fn log_and_verify_tell_where_things_come_from_and_what_has_changed() {
     let verify = || loopboost(&["verify", out.to_str().unwrap()]);
     assert!(verify().expect(0).stdout.contains(" 0 problems"));
     for artifact in [&model, &out.join("report.html"), &out.join("evaluation/errors.parquet")] {
-        let told = loopboost(&["lineage", artifact.to_str().unwrap()]).expect(0).stdout;
+        let printed = loopboost(&["lineage", artifact.to_str().unwrap()]).expect(0).stdout;
         for name in ["keyframes.parquet", "scans/there.parquet", "logs/back.mcap", "seed 7"] {
-            assert!(told.contains(name), "{name} is not in:\n{told}");
+            assert!(printed.contains(name), "{name} is not in:\n{printed}");
         }
     }
-    // Another model version, then a table from another run laid over the folder's.
+    // Replace a table by one from another run.
     workplace.command("run", "other", &["--set", "label.positive_radius_m=1.2"]).expect(0);
     fs::copy(workplace.path("other/pairs.parquet"), out.join("pairs.parquet")).unwrap();
     fs::remove_file(out.join("report.html")).unwrap();
-    let told = verify().expect(1);
+    let printed = verify().expect(1);
     for line in [
         "pairs.parquet changed after `label` wrote it",
         "report.html is missing (written by `evaluate`)",
         "pairs.parquet changed after `train` read it to write grid.parquet, models/",
     ] {
-        assert!(told.stdout.contains(line), "`{line}` is not in:\n{}", told.stdout);
+        assert!(printed.stdout.contains(line), "`{line}` is not in:\n{}", printed.stdout);
     }
-    let told = loopboost(&["lineage", model.to_str().unwrap()]).expect(0).stdout;
+    let printed = loopboost(&["lineage", model.to_str().unwrap()]).expect(0).stdout;
     assert!(
-        told.lines().any(|l| l.contains("pairs.parquet") && l.contains("changed since")),
-        "{told}"
+        printed.lines().any(|l| l.contains("pairs.parquet") && l.contains("changed since")),
+        "{printed}"
     );
     loopboost(&["verify", workplace.path("").to_str().unwrap()])
         .expect(1)

@@ -1,4 +1,4 @@
-//! The whole pipeline on logs that the program makes itself.
+//! The whole pipeline on simulated logs.
 
 use std::collections::BTreeSet;
 
@@ -34,7 +34,7 @@ const STAGES: [&str; 7] =
     ["simulate", "ingest", "subsample", "label", "featurize", "train", "evaluate"];
 
 #[test]
-fn same_bytes_for_every_thread_count_stage_by_stage_and_other_bytes_for_another_seed() {
+fn the_bytes_depend_on_the_seed_and_not_on_the_threads_or_the_commands() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command_with_threads("run", "one", &[], 1).expect(0);
     let expected = workplace.files("one");
@@ -82,7 +82,7 @@ fn same_bytes_for_every_thread_count_stage_by_stage_and_other_bytes_for_another_
         workplace.command(stage, "by-stage", &[]).expect(0);
     }
     same("by-stage");
-    // Into the same folder again: nothing changes, no model version is added.
+    // A second run in the same folder changes nothing and adds no model version.
     let again = workplace.command("run", "two", &[]).expect(0);
     assert!(again.stdout.lines().all(|line| line.ends_with("(unchanged)")), "{}", again.stdout);
     same("two");
@@ -113,7 +113,7 @@ fn pairs_obey_the_label_rules() {
     let unique: BTreeSet<_> = pairs.iter().map(|pair| (pair.query, pair.reference)).collect();
     assert_eq!(unique.len(), 300);
 
-    // Positions straight from the poses, not from the keyframes.
+    // Positions from the poses, not from the keyframes.
     let trajectories = ["there", "back"]
         .map(|log| (log, read_poses(&out(&format!("poses/{log}.parquet"))).unwrap().0));
     let position = |k: usize| {
@@ -148,7 +148,7 @@ fn pairs_obey_the_label_rules() {
 }
 
 #[test]
-fn results_go_to_stdout_and_nothing_else_does() {
+fn results_go_to_stdout_and_the_report_opens_offline() {
     let workplace = Workplace::new(PIPELINE);
     let finished = workplace.command("run", "out", &[]).expect(0);
     assert_eq!(finished.stderr, "", "progress is for terminals");
@@ -168,14 +168,14 @@ fn results_go_to_stdout_and_nothing_else_does() {
     ] {
         assert!(report.contains(part), "{part}");
     }
-    // It opens offline and carries no script.
+    // The report opens offline and has no script.
     for part in ["http://", "https://", "<script", "src=", "@import", "url("] {
         assert!(!report.contains(part), "{part}");
     }
 }
 
 #[test]
-fn the_printed_configuration_runs_like_the_file() {
+fn the_printed_configuration_gives_the_same_logs_as_the_file() {
     let workplace = Workplace::new(PIPELINE);
     let pipeline = workplace.path("drive.toml");
     let printed = loopboost(&["run", pipeline.to_str().unwrap(), "--print-config"]).expect(0);
@@ -189,7 +189,7 @@ fn the_printed_configuration_runs_like_the_file() {
 }
 
 #[test]
-fn every_pipeline_of_the_repository_is_understood() {
+fn every_pipeline_of_the_repository_is_valid() {
     let mut n = 0;
     for entry in std::fs::read_dir(root().join("pipelines")).unwrap() {
         let path = entry.unwrap().path();
@@ -200,20 +200,20 @@ fn every_pipeline_of_the_repository_is_understood() {
 }
 
 #[test]
-fn inspect_tells_topics_and_a_pipeline_that_works() {
+fn inspect_lists_topics_and_suggests_a_working_pipeline() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("simulate", "out", &[]).expect(0);
     let log = workplace.path("out/logs/there.mcap");
     let log = log.to_str().unwrap();
-    let told = loopboost(&["inspect", log]).expect(0).stdout;
-    for says in
+    let printed = loopboost(&["inspect", log]).expect(0).stdout;
+    for text in
         ["/velodyne_packets", "Velodyne HDL-32E", "10.00 revolutions per second", "0 missing"]
     {
-        assert!(told.contains(says), "`{says}` is not in:\n{told}");
+        assert!(printed.contains(text), "`{text}` is not in:\n{printed}");
     }
-    let (_, fitting) = told.split_once("suggested pipeline").unwrap();
+    let (_, fitting) = printed.split_once("suggested pipeline").unwrap();
     let (_, fitting) = fitting.split_once(":\n").unwrap();
-    // The pipeline that is printed and the one that is written both work, and give the same.
+    // The printed pipeline and the written one both work and give the same scans.
     std::fs::write(workplace.path("drive.toml"), fitting).unwrap();
     workplace.command("ingest", "printed", &[]).expect(0);
     let written = workplace.path("written.toml");
@@ -232,26 +232,26 @@ fn inspect_tells_topics_and_a_pipeline_that_works() {
 }
 
 #[test]
-fn inspect_speaks_json() {
+fn inspect_can_print_json() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("simulate", "out", &[]).expect(0);
     let log = workplace.path("out/logs/there.mcap");
-    let told = loopboost(&["inspect", log.to_str().unwrap(), "--json"]).expect(0).stdout;
-    let told: serde_json::Value = serde_json::from_str(&told).unwrap();
-    let topics = told["survey"]["topics"].as_array().unwrap();
+    let printed = loopboost(&["inspect", log.to_str().unwrap(), "--json"]).expect(0).stdout;
+    let printed: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    let topics = printed["survey"]["topics"].as_array().unwrap();
     let topic = |name: &str| topics.iter().find(|topic| topic["topic"] == name).unwrap();
     let packets = &topic("/velodyne_packets")["content"]["packets"];
     assert_eq!(packets["n_missing"], 0);
     assert!((packets["spin_hz"].as_f64().unwrap() - 10.0).abs() < 0.01);
     let poses = &topic("/ground_truth")["content"]["poses"];
     assert!(poses["path_m"].as_f64().unwrap() > 10.0);
-    assert_eq!(told["missing"], serde_json::json!([]));
-    assert!(told["pipeline"].as_str().unwrap().contains("[ingest.lidar]"));
+    assert_eq!(printed["missing"], serde_json::json!([]));
+    assert!(printed["pipeline"].as_str().unwrap().contains("[ingest.lidar]"));
 }
 
-/// The committed logs are what their pipeline files make, on this machine too.
+/// The pipeline files of the fixtures make the committed logs, also on this machine.
 #[test]
-fn fixtures_are_made_as_they_say() {
+fn the_fixtures_are_reproducible() {
     let workplace = Workplace::new("");
     let (pipeline, out) = (root().join("fixtures/corridor.toml"), workplace.path("out"));
     let args = ["simulate", pipeline.to_str().unwrap(), "--out", out.to_str().unwrap()];

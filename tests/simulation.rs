@@ -1,4 +1,4 @@
-//! Simulated logs as other programs see them.
+//! Simulated logs, read by other programs.
 
 use std::process::Command;
 
@@ -18,9 +18,9 @@ site = "campus"
 pose.topic = "/ground_truth"
 "#;
 
-/// `mcap` (PyPI) finds no fault and decodes every message, whatever the compression.
+/// `mcap` (PyPI) decodes every message and finds no faults, with every compression.
 #[test]
-fn the_mcap_package_finds_no_fault() {
+fn the_mcap_package_finds_no_faults() {
     let workplace = Workplace::new(CAMPUS);
     let modules = ["mcap", "mcap_ros2", "numpy", "pyarrow", "velodyne_decoder"];
     let Some(python) = python_with(&modules) else { return };
@@ -39,9 +39,9 @@ fn the_mcap_package_finds_no_fault() {
     }
 }
 
-/// `mcap doctor` (the `mcap` of LOOPBOOST_MCAP, or on the path) has nothing to say.
+/// `mcap doctor` prints neither warnings nor errors.
 #[test]
-fn mcap_doctor_has_nothing_to_say() {
+fn mcap_doctor_finds_no_faults() {
     let Some(mcap) = mcap_command() else { return };
     let workplace = Workplace::new(CAMPUS);
     for (encoding, compression, files) in
@@ -64,17 +64,17 @@ fn mcap_doctor_has_nothing_to_say() {
             let output =
                 Command::new(&mcap).args(["doctor", "--strict-message-order"]).arg(&log).output();
             let output = output.unwrap();
-            let said = [output.stdout, output.stderr].concat();
-            let said = String::from_utf8_lossy(&said);
-            let is_quiet = !said.contains("Warning") && !said.contains("Error");
-            assert!(output.status.success() && is_quiet, "{}: {said}", log.display());
+            let printed = [output.stdout, output.stderr].concat();
+            let printed = String::from_utf8_lossy(&printed);
+            let has_no_faults = !printed.contains("Warning") && !printed.contains("Error");
+            assert!(output.status.success() && has_no_faults, "{}: {printed}", log.display());
         }
     }
 }
 
-/// The files of a split log are one drive to every stage, and hold the same scans.
+/// The files of a split log are one drive, with the same scans as an unsplit log.
 #[test]
-fn split_logs_are_read_as_one() {
+fn the_files_of_a_split_log_are_read_as_one_drive() {
     let workplace = Workplace::new(CAMPUS);
     let files = ["--set", "simulate.files=3"];
     workplace.command("simulate", "split", &files).expect(0);
@@ -92,16 +92,16 @@ fn split_logs_are_read_as_one() {
     }
 }
 
-/// `inspect` names every topic and misses nothing.
+/// `inspect` lists every topic and reports no missing packets.
 #[test]
-fn inspect_finds_every_topic() {
+fn inspect_lists_every_topic() {
     let workplace = Workplace::new(CAMPUS);
     for encoding in ["ros2", "ros1"] {
         let set = format!("simulate.encoding={encoding}");
         workplace.command("simulate", encoding, &["--set", &set]).expect(0);
         let log = workplace.path(&format!("{encoding}/logs/two.mcap"));
-        let told = loopboost(&["inspect", log.to_str().unwrap()]).expect(0).stdout;
-        for says in [
+        let printed = loopboost(&["inspect", log.to_str().unwrap()]).expect(0).stdout;
+        for text in [
             "/velodyne_packets",
             "Velodyne HDL-32E",
             "0 missing",
@@ -111,7 +111,7 @@ fn inspect_finds_every_topic() {
             "/tf",
             "/tf_static",
         ] {
-            assert!(told.contains(says), "`{says}` is not in:\n{told}");
+            assert!(printed.contains(text), "`{text}` is not in:\n{printed}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The crate graph and the README's map of it.
+//! The crate graph, and what the README, the docs and CI state about the repository.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -6,7 +6,7 @@ use std::process::Command;
 
 use crate::support::root;
 
-/// Crates of the workspace and what each uses of the others, tests apart.
+/// The crates of the workspace and the other crates that each depends on, without dev-dependencies.
 fn graph() -> BTreeMap<String, BTreeSet<String>> {
     let mut graph = BTreeMap::new();
     let mut external = BTreeMap::new();
@@ -42,23 +42,23 @@ const EXCEPTIONS: [(&str, &[&str]); 4] = [
 const KNOW_MCAP: [&str; 3] = ["import", "ingest", "simulate"];
 
 #[test]
-fn a_stage_depends_on_nouns_and_on_no_other_stage() {
+fn a_stage_depends_on_the_type_crates_and_not_on_other_stages() {
     let graph = graph();
-    let nouns: BTreeSet<&str> = ["dataset", "model", "messages"].into();
+    let types: BTreeSet<&str> = ["dataset", "model", "messages"].into();
     for (name, used) in &graph {
         if name == "loopboost" {
             continue;
         }
         for other in used {
-            let is_noun = nouns.contains(other.as_str());
+            let is_type = types.contains(other.as_str());
             let is_exception = EXCEPTIONS
                 .iter()
                 .any(|(stage, may_use)| stage == name && may_use.contains(&&**other));
-            assert!(is_noun || is_exception, "`{name}` depends on the stage `{other}`");
+            assert!(is_type || is_exception, "`{name}` depends on the stage `{other}`");
         }
     }
-    for noun in nouns {
-        assert!(graph[noun].is_empty(), "`{noun}` depends on {:?}", graph[noun]);
+    for krate in types {
+        assert!(graph[krate].is_empty(), "`{krate}` depends on {:?}", graph[krate]);
     }
     assert!(!graph["evaluate"].contains("model"), "evaluate sees scores, never models");
     for (name, used) in &graph {
@@ -68,7 +68,7 @@ fn a_stage_depends_on_nouns_and_on_no_other_stage() {
 }
 
 #[test]
-fn only_those_that_read_or_write_logs_know_mcap() {
+fn only_the_crates_that_read_or_write_logs_depend_on_mcap() {
     for entry in fs::read_dir(root().join("crates")).unwrap() {
         let folder = entry.unwrap().path();
         let manifest: toml::Table =
@@ -80,9 +80,9 @@ fn only_those_that_read_or_write_logs_know_mcap() {
     }
 }
 
-/// What runs on a robot needs neither Arrow nor Parquet nor MCAP.
+/// The crates that run on a robot need neither Arrow nor Parquet nor MCAP.
 #[test]
-fn the_robot_side_is_small() {
+fn the_crates_for_robots_have_few_dependencies() {
     for package in ["featurize", "model"] {
         let output = Command::new(env!("CARGO"))
             .args([
@@ -107,23 +107,23 @@ fn the_robot_side_is_small() {
 }
 
 #[test]
-fn the_readme_maps_every_crate_and_folder() {
+fn the_readme_lists_every_crate_and_folder() {
     let readme = fs::read_to_string(root().join("README.md")).unwrap();
     for name in graph().keys() {
-        assert!(readme.contains(&format!("crates/{name} ")), "README does not map crates/{name}");
+        assert!(readme.contains(&format!("crates/{name} ")), "README does not list crates/{name}");
     }
     for line in readme.lines().filter(|line| line.starts_with("crates/")) {
         let path = line.split_whitespace().next().unwrap();
-        assert!(root().join(path).is_dir(), "README maps {path}, which is not there");
+        assert!(root().join(path).is_dir(), "README lists {path}, which does not exist");
     }
     for path in ["pipelines/", "tests/", "fixtures/"] {
         assert!(readme.contains(path) && root().join(path).is_dir(), "{path}");
     }
 }
 
-/// The pipeline file that the README shows is understood.
+/// The pipeline file in the README is valid.
 #[test]
-fn the_readme_shows_a_pipeline_that_is_understood() {
+fn the_readme_shows_a_valid_pipeline() {
     let readme = fs::read_to_string(root().join("README.md")).unwrap();
     let (_, rest) = readme.split_once("```toml\n").unwrap();
     let (pipeline, _) = rest.split_once("```").unwrap();
@@ -133,14 +133,14 @@ fn the_readme_shows_a_pipeline_that_is_understood() {
 }
 
 #[test]
-fn the_readme_and_ci_say_the_same_commands() {
+fn ci_runs_the_commands_of_the_readme() {
     let readme = fs::read_to_string(root().join("README.md")).unwrap();
     let ci = fs::read_to_string(root().join(".ci/run")).unwrap();
     let commands: Vec<&str> = readme
         .lines()
         .filter(|line| line.starts_with("cargo run ") || line.starts_with("cargo test "))
         .collect();
-    assert_eq!(commands.len(), 2, "one runs the quickstart, one runs the tests: {commands:?}");
+    assert_eq!(commands.len(), 2, "expected the quickstart and the tests: {commands:?}");
     for command in commands {
         assert!(
             ci.lines().any(|line| line.trim() == command),
@@ -149,7 +149,7 @@ fn the_readme_and_ci_say_the_same_commands() {
     }
 }
 
-/// The committed JSON Schemas are those of the types, and the pipelines satisfy theirs.
+/// The committed JSON Schemas are generated from the types, and the pipelines are valid by theirs.
 #[test]
 fn the_schemas_are_generated_from_the_types() {
     for file in ["pipeline", "model"] {

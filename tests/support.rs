@@ -1,4 +1,4 @@
-//! What the whole-program tests share.
+//! Runs the program in temporary folders, for the whole-program tests.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -22,7 +22,7 @@ pub fn loopboost(args: &[&str]) -> Finished {
     loopboost_with_threads(args, 2)
 }
 
-/// Runs the program with so many threads.
+/// Runs the program with a number of threads.
 pub fn loopboost_with_threads(args: &[&str], threads: usize) -> Finished {
     let Output { status, stdout, stderr } =
         Command::new(assert_cmd::cargo::cargo_bin!("loopboost"))
@@ -37,7 +37,7 @@ pub fn loopboost_with_threads(args: &[&str], threads: usize) -> Finished {
     }
 }
 
-/// A temporary folder with a pipeline file and a run folder to be.
+/// A temporary folder with a pipeline file, and room for run folders.
 pub struct Workplace {
     folder: tempfile::TempDir,
 }
@@ -53,7 +53,7 @@ impl Workplace {
         self.folder.path().join(name)
     }
 
-    /// Runs a command of the program on the pipeline, into the run folder `out`.
+    /// Runs a command of the program with the pipeline and the run folder `out`.
     pub fn command(&self, command: &str, out: &str, more: &[&str]) -> Finished {
         self.command_with_threads(command, out, more, 2)
     }
@@ -71,7 +71,7 @@ impl Workplace {
         loopboost_with_threads(&args, threads)
     }
 
-    /// Every file of a run folder, by name.
+    /// The files of a run folder by name.
     pub fn files(&self, out: &str) -> BTreeMap<String, Vec<u8>> {
         let mut files = BTreeMap::new();
         let mut folders = vec![self.path(out)];
@@ -92,7 +92,7 @@ impl Workplace {
 }
 
 impl Finished {
-    /// Checks the exit code, showing stderr where it is another.
+    /// Checks the exit code.
     pub fn expect(self, code: i32) -> Self {
         assert_eq!(self.code, code, "stdout:\n{}\nstderr:\n{}", self.stdout, self.stderr);
         self
