@@ -14,7 +14,7 @@ const CHECKS: [(&str, &str); 2] = [
     ),
 ];
 
-/// Runs one test of this program with neither peers nor data at hand.
+/// Runs one test of this program without peers and without data.
 fn run(test: &str, required: &str) -> Output {
     Command::new(std::env::current_exe().unwrap())
         .args(["--exact", test])
