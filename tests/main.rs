@@ -1,5 +1,11 @@
 //! Whole-program tests: one binary, wired from `crates/loopboost`.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test may panic and prints its results"
+)]
+
 mod batch;
 mod deskew;
 mod encodings;

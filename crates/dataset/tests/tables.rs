@@ -1,4 +1,6 @@
 //! Tables survive the disk, refuse what is not theirs, and are never half there.
+
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
 #![cfg(feature = "parquet")]
 
 use std::fs;

@@ -7,6 +7,8 @@
 //! `LOOPBOOST_PYTHON`. The two programs run one after the other. (The script can also check the values in a run
 //! folder.)
 
+#![allow(clippy::print_stdout, reason = "a benchmark prints its results")]
+
 #[path = "../../../tests/require.rs"]
 mod require;
 

@@ -1,5 +1,7 @@
 //! `campus`: values computed by hand, invariances, and finite results.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 use dataset::Scan;
 use featurize::{CAMPUS_NAMES, Campus, FeatureSet, Featurizer, Options, PAPER16_NAMES, thinned};
 use proptest::prelude::*;

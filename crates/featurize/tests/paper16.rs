@@ -2,6 +2,12 @@
 //!
 //! Notation as in docs/features.md: `n` returns, `m` steps, gate `g`, stride `s`.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test may panic and prints its results"
+)]
+
 use std::f64::consts::{PI, SQRT_2};
 
 use dataset::{Scan, Unusable};

@@ -1,6 +1,8 @@
 //! `paper16` against plain loops over the formulas of docs/features.md, without vectors, lanes or
 //! shortcuts.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 use std::f64::consts::TAU;
 
 use dataset::Scan;

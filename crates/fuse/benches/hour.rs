@@ -5,6 +5,8 @@
 //! The benchmark also checks its results: the error at the end of the path agrees with its
 //! covariance.
 
+#![allow(clippy::unwrap_used, reason = "a benchmark panics if a value is missing")]
+
 #[path = "../tests/support/mod.rs"]
 mod support;
 

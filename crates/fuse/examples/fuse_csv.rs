@@ -7,6 +7,8 @@
 //! [rad], and the upper triangle of their covariance. The report is printed to stderr. With `none`
 //! instead of IMU.csv, the result is plain wheel odometry.
 
+#![allow(clippy::print_stdout, reason = "an example prints its results")]
+
 use std::collections::BTreeMap;
 use std::error::Error;
 

@@ -1,5 +1,7 @@
 //! The errors agree with the covariances.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod support;
 
 use dataset::Pose2;

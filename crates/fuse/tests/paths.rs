@@ -1,5 +1,7 @@
 //! Paths with ends calculated by hand, and the values calibrated along them.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod support;
 
 use std::f64::consts::{FRAC_PI_2, PI};

@@ -1,5 +1,7 @@
 //! Imports CARMEN logs.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod common;
 
 use common::{Log, import};

@@ -1,5 +1,7 @@
 //! Imports NCLT files.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod common;
 
 use std::f64::consts::TAU;

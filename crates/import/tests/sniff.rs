@@ -1,5 +1,7 @@
 //! Content sniffing.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 use std::path::Path;
 
 use import::{Format, ImportError, Options, import, input_bytes, sniff};

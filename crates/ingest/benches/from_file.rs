@@ -8,6 +8,8 @@
 //! alternate, so a machine that slows down affects all of them. The ratio is that of the medians. Every
 //! run must give the same scans and the same sum.
 
+#![allow(clippy::print_stdout, reason = "a benchmark prints its results")]
+
 #[path = "../../../tests/require.rs"]
 mod require;
 

@@ -9,6 +9,8 @@
 //! (`tests/peers/packets.py`, run with the Python in `LOOPBOOST_PYTHON`). The measurements alternate.
 //! Every run must give the same scans.
 
+#![allow(clippy::print_stdout, reason = "a benchmark prints its results")]
+
 #[path = "../../../tests/require.rs"]
 mod require;
 

@@ -3,6 +3,8 @@
 //!
 //! A normal run makes 300 corruptions. `LOOPBOOST_CORRUPTIONS=10000` makes more.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod common;
 
 use std::alloc::{GlobalAlloc, Layout, System};

@@ -1,5 +1,7 @@
 //! Tests of the structure of logs, intact and damaged.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod common;
 
 use std::path::Path;

@@ -1,5 +1,7 @@
 //! Deskewing, and poses from transforms, wheels and satellite fixes, tested on logs in memory.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod common;
 
 use std::error::Error;

@@ -64,16 +64,16 @@ type Output = Result<(Vec<Scan>, Ingested), IngestError>;
 
 fn ingest(entries: &[Entry], mut lidar: LidarOptions) -> Output {
     lidar.topic = entries[0].0.to_owned();
-    lidar.check().unwrap();
+    lidar.check().expect("valid options");
     ingest_bytes(&write(entries, small_chunks()), &Options { lidar, pose: None })
 }
 
 fn scans(packets: &[Stamped], lidar: LidarOptions) -> (Vec<Scan>, Ingested) {
-    ingest(&packets_log(packets), lidar).unwrap()
+    ingest(&packets_log(packets), lidar).expect("an intact log")
 }
 
 fn assert_error(output: Output, texts: &[&str]) {
-    let message = output.unwrap_err().to_string();
+    let message = output.expect_err("an error").to_string();
     for text in texts {
         assert!(message.contains(text), "`{text}` is not in: {message}");
     }

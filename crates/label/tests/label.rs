@@ -1,5 +1,7 @@
 //! Labels with counts worked out by hand, the draw of pairs, and the folds.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 

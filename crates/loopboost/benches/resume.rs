@@ -5,6 +5,8 @@
 //! The least is the ingest of that log alone and the stages that see all logs, each done by force.
 //! Both are whole processes on the same logs, in turn.
 
+#![allow(clippy::print_stdout, reason = "a benchmark prints its results")]
+
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};

@@ -6,6 +6,7 @@ macro_rules! out {
         use std::io::Write as _;
         if let Err(error) = writeln!(std::io::stdout(), $($arg)*) {
             eprintln!("error: cannot write to stdout: {error}");
+            #[allow(clippy::exit, reason = "the only place that ends the process early")]
             std::process::exit(1);
         }
     }};

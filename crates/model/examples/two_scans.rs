@@ -6,6 +6,8 @@
 //! the returns of one revolution in firing order, x forward and y to the left, and the angle that
 //! the revolution covers.
 
+#![allow(clippy::print_stdout, reason = "an example prints its results")]
+
 use std::error::Error;
 use std::path::Path;
 

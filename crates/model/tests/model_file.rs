@@ -1,5 +1,7 @@
 //! Saved models load with the same bits. Damaged and altered files are errors.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod common;
 
 use std::error::Error;

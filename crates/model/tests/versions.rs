@@ -1,5 +1,7 @@
 //! `save` chooses the version, finds existing equal content, and checks the same values as `load`.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod common;
 
 use std::collections::BTreeMap;

@@ -3,6 +3,8 @@
 //! Run it with `cargo bench -p simulate --bench speed`. It uses as many threads as there are cores, or
 //! `RAYON_NUM_THREADS`.
 
+#![allow(clippy::print_stdout, reason = "a benchmark prints its results")]
+
 use std::fs::File;
 use std::io::BufWriter;
 use std::time::Instant;

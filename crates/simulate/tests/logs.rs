@@ -1,5 +1,7 @@
 //! Reads simulated logs with the mcap crate and `messages`, and compares them with the ground truth.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 use std::io::Cursor;
 
 use messages::hdl32e::{self, Packet};

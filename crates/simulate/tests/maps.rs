@@ -1,5 +1,7 @@
 //! Drives on a map on different days.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 use std::path::Path;
 
 use dataset::Pose2;

@@ -1,6 +1,12 @@
 //! Compares simulated scans with real ones: `hdl32e-street`, 2.5 revolutions of an HDL-32E in a street.
 //! docs/simulation.md lists the numbers.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test may panic and prints its results"
+)]
+
 #[path = "../../../tests/require.rs"]
 mod require;
 

@@ -1,5 +1,11 @@
 //! Compares sensor readings with the ground truth.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test may panic and prints its results"
+)]
+
 use std::collections::HashMap;
 use std::io::Cursor;
 

@@ -7,6 +7,8 @@
 //! `LOOPBOOST_PYTHON`). The two programs take turns. A second part shows how the cost of training
 //! grows with the number of pairs.
 
+#![allow(clippy::print_stdout, reason = "a benchmark prints its results")]
+
 #[path = "../../../tests/require.rs"]
 mod require;
 
