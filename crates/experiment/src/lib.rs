@@ -10,6 +10,35 @@
 //! | Which models are saved, with which evidence? | [`models`] |
 //!
 //! Invariant: pure computation on slices. This crate reads and writes no files.
+//!
+//! ```
+//! use dataset::Label::{Negative, Positive};
+//! use dataset::tables::FeatureTable;
+//! use dataset::{Pair, ScanId};
+//!
+//! // One feature of three scans, and two labelled pairs of them.
+//! let features = FeatureTable {
+//!     names: vec!["size".to_owned()],
+//!     ids: (0..3).map(|scan| ScanId { log: "drive".into(), scan }).collect(),
+//!     values: vec![400.0, 410.0, 900.0],
+//! };
+//! let pair = |query, label| Pair {
+//!     query,
+//!     reference: 0,
+//!     label,
+//!     distance_m: 1.0,
+//!     heading_difference_rad: None,
+//!     travel_gap_m: 1.0,
+//! };
+//! let pairs = [pair(1, Positive), pair(2, Negative)];
+//!
+//! let differences = experiment::differences(&pairs, &features);
+//! assert_eq!(differences.column(0), [10.0, 500.0]);
+//! let options = train::Options { learners: vec![train::Learner::Discrete], ..Default::default() };
+//! let fitted = experiment::fit(&options, &differences)?;
+//! assert!(!fitted[0].rounds.is_empty());
+//! # Ok::<(), experiment::ExperimentError>(())
+//! ```
 
 mod cross_validation;
 mod differences;

@@ -1,4 +1,4 @@
-//! The pipeline file: every parameter of a run, its defaults, and what is wrong with it.
+//! The pipeline file: every parameter of a run, its defaults, and the checks of its values.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,9 +10,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::logs::{self, LogFile};
+use crate::logs::{self, LogFile, stem};
 
-/// The command line or the pipeline file is not understood; exit code 2.
+/// The command line or the pipeline file is invalid; exit code 2.
 #[derive(Debug)]
 pub(crate) struct UsageError(String);
 
@@ -28,18 +28,19 @@ pub(crate) fn usage(message: impl std::fmt::Display) -> anyhow::Error {
     UsageError(message.to_string()).into()
 }
 
-/// A pipeline file, all defaults resolved.
+/// A pipeline file with all defaults filled in.
 #[derive(Debug, Clone, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[schemars(rename = "Pipeline")]
 pub(crate) struct Config {
-    /// Names the run and its models; the file's stem unless given.
+    /// Name of the run, and the first part of the names of its models. The default is the name of the
+    /// file without its extension.
     #[serde(default)]
     pub(crate) name: String,
-    /// Every random draw comes from it.
+    /// Seed of every random draw.
     #[serde(default = "default_seed")]
     pub(crate) seed: u64,
-    /// Makes the logs first; without it logs come from `ingest.logs` alone.
+    /// Simulates logs first. Without this section, all logs come from `ingest.logs`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) simulate: Option<simulate::Options>,
     #[serde(default)]
@@ -54,12 +55,12 @@ pub(crate) struct Config {
     pub(crate) train: train::Options,
     #[serde(default)]
     pub(crate) evaluate: EvaluateSection,
-    /// Folder of the pipeline file; `ingest.logs` is relative to it.
+    /// Folder of the pipeline file. Paths in `ingest.logs` are relative to it.
     #[serde(skip)]
     folder: PathBuf,
 }
 
-/// The paper's pair count as a seed, as good as any.
+/// Any number would do; this is the number of pairs in the paper.
 fn default_seed() -> u64 {
     2436
 }
@@ -68,16 +69,16 @@ fn default_seed() -> u64 {
 #[derive(Debug, Clone, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct IngestSection {
-    /// Files, folders (their `*.mcap`, those that were split from one drive together) or globs,
-    /// relative to the pipeline file.
+    /// Files, folders or globs, relative to the pipeline file. A folder stands for its `*.mcap` files;
+    /// the files of one split drive are one log.
     pub(crate) logs: Vec<String>,
-    /// The map frame of all logs; without it each log has its own.
+    /// The map frame of all logs. Without it, each log has its own map frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) site: Option<String>,
     pub(crate) lidar: LidarOptions,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) pose: Option<PoseOptions>,
-    /// Per log, by file stem: any of `site`, `lidar` and `pose`, or of their keys.
+    /// Options of single logs, by file stem: `site`, `lidar` and `pose`, or any of their keys.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(with = "BTreeMap<String, LogOptions>")]
     pub(crate) log: BTreeMap<String, Table>,
@@ -179,11 +180,11 @@ impl EvaluateSection {
     }
 }
 
-/// What holds for one log, its overrides applied.
+/// The options of one log, with its overrides applied.
 #[derive(Debug, Clone, Default, JsonSchema, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(crate) struct LogOptions {
-    /// The map frame; the log's own name unless given.
+    /// The map frame. The default is the name of the log.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) site: Option<String>,
     pub(crate) lidar: LidarOptions,
@@ -198,9 +199,9 @@ impl Config {
             .map_err(|e| usage(format!("cannot read the pipeline file {}: {e}", path.display())))?;
         let mut table: Table = toml::from_str(&text).map_err(|e| explain(path, &e))?;
         refuse_renamed(&table, &path.display())?;
-        // The file alone, so that an error shows its line ...
+        // Once without the overrides: an error then shows its line in the file ...
         toml::from_str::<Self>(&text).map_err(|e| explain(path, &e))?;
-        // ... and with the overrides.
+        // ... and once with the overrides.
         for text in overrides {
             apply_override(&mut table, text)?;
         }
@@ -220,7 +221,7 @@ impl Config {
         toml::to_string(self).context("cannot write the options as TOML")
     }
 
-    /// The logs that `ingest.logs` names, in its order.
+    /// The logs in `ingest.logs`, in the same order.
     pub(crate) fn log_files(&self) -> Result<Vec<LogFile>> {
         let mut files = Vec::new();
         for entry in &self.ingest.logs {
@@ -229,7 +230,7 @@ impl Config {
         Ok(files)
     }
 
-    /// A path that the pipeline file names, which is relative to it.
+    /// Resolves a path in the pipeline file, which is relative to the file.
     pub(crate) fn beside_pipeline(&self, path: &str) -> PathBuf {
         self.folder.join(path)
     }
@@ -255,7 +256,7 @@ impl Config {
         let legal = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
         if !self.name.chars().all(legal) || self.name.starts_with('.') {
             return Err(anyhow!(
-                "`name` is `{}`, expected letters, digits, `-`, `_` and `.`, since it names folders: set `name`",
+                "`name` is `{}`, expected letters, digits, `-`, `_` and `.`, because folders are named after it; set `name` in the pipeline file",
                 self.name
             ));
         }
@@ -278,11 +279,6 @@ impl Config {
     }
 }
 
-/// A file's name without its last extension.
-pub(crate) fn stem(path: &Path) -> String {
-    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
-}
-
 /// Keys that have a new name, old and new.
 const RENAMED: [(&str, &str); 2] = [
     ("evaluate.every_pair", "evaluate.retrieval"),
@@ -303,8 +299,8 @@ fn refuse_renamed(table: &Table, place: &dyn std::fmt::Display) -> Result<()> {
     }
 }
 
-/// Lays `a.b.c=value` over a table; the value is TOML, or else a string. A key with dots in it is
-/// quoted as in TOML: `ingest.log."a.b".site=x`.
+/// Applies `a.b.c=value` to a table. The value is parsed as TOML; if it is not TOML, it is a string. A
+/// key that contains dots is quoted as in TOML: `ingest.log."a.b".site=x`.
 fn apply_override(table: &mut Table, text: &str) -> Result<()> {
     let (key, value) = text.split_once('=').ok_or_else(|| {
         usage(format!("--set {text}: expected KEY=VALUE, such as label.positive_radius_m=2"))
@@ -319,8 +315,8 @@ fn apply_override(table: &mut Table, text: &str) -> Result<()> {
     Ok(())
 }
 
-/// Poses come from one place: what names another one takes the place of that.
-fn give_up_other_sources(pose: &mut Table, over: &Table) {
+/// Poses have one source: a new source replaces the old one.
+fn remove_other_sources(pose: &mut Table, over: &Table) {
     const SOURCES: [&str; 3] = ["topic", "frames", "wheels"];
     let Some(source) = SOURCES.into_iter().find(|source| over.contains_key(*source)) else {
         return;
@@ -336,13 +332,13 @@ fn give_up_other_sources(pose: &mut Table, over: &Table) {
     }
 }
 
-/// Lays one table over another, section by section.
+/// Merges one table into another, section by section.
 fn merge(base: &mut Table, over: &Table) {
     for (key, value) in over {
         match (base.get_mut(key), value) {
             (Some(Value::Table(base)), Value::Table(over)) => {
                 if key == "pose" {
-                    give_up_other_sources(base, over);
+                    remove_other_sources(base, over);
                 }
                 merge(base, over);
             }
@@ -353,7 +349,7 @@ fn merge(base: &mut Table, over: &Table) {
     }
 }
 
-/// A TOML error with its place and, for an unknown key or name, the nearest known one.
+/// A TOML error with its place and, for an unknown key or name, the most similar known one.
 fn explain(place: &Path, error: &toml::de::Error) -> anyhow::Error {
     let mut text = format!("{}: {}", place.display(), error.to_string().trim_end());
     let message = error.message();
@@ -390,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn an_empty_file_has_all_defaults_and_they_can_be_read_again() {
+    fn an_empty_file_gives_all_defaults_and_the_printed_defaults_can_be_read() {
         let config = load("", &[]).unwrap();
         assert_eq!((config.name.as_str(), config.seed), ("drive", 2436));
         assert_eq!(config.label.pairs_per_class, 1218);
@@ -400,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn overrides_beat_the_file() {
+    fn an_override_takes_precedence_over_the_file() {
         let file = "[label]\npositive_radius_m = 1.0\n";
         let config = load(
             file,
@@ -413,9 +409,9 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_key_fails_and_names_the_nearest() {
+    fn an_unknown_key_is_an_error_that_names_the_most_similar_key() {
         let message = error("[subsample]\nspacing = 0.5\n", &[]);
-        assert!(message.contains("spacing = 0.5"), "shows the line: {message}");
+        assert!(message.contains("spacing = 0.5"), "the message shows the line: {message}");
         assert!(message.contains("did you mean `spacing_m`?"), "{message}");
         assert!(error("sed = 3\n", &[]).contains("did you mean `seed`?"));
         assert!(
@@ -453,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn values_out_of_range_are_named() {
+    fn a_value_out_of_range_is_an_error_that_names_the_key() {
         assert!(
             error("[label]\nnegative_min_m = 1.0\n", &[]).contains("`label.negative_min_m` is 1")
         );
@@ -467,7 +463,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_can_have_options_of_its_own() {
+    fn a_log_can_have_its_own_options() {
         let config = load(
             "[ingest]\nsite = \"mit\"\n[ingest.pose]\ntopic = \"/pose\"\n[ingest.log.b]\nsite = \"aces\"\nlidar.range_max_m = 30.0\n",
             &[],

@@ -6,8 +6,6 @@ use std::sync::Arc;
 use anyhow::{Context, Result, anyhow};
 use ingest::{DriveFiles, group_files};
 
-use crate::config::stem;
-
 /// A log of the run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct LogFile {
@@ -105,6 +103,11 @@ fn in_folder(folder: &Path, depth: usize) -> Result<Vec<LogFile>> {
         drives.extend(in_folder(&subfolder, depth + 1)?);
     }
     Ok(drives)
+}
+
+/// The name of a file without its last extension.
+pub(crate) fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 pub(crate) fn file_name(path: &Path) -> String {
