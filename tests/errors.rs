@@ -273,7 +273,7 @@ fn a_table_made_with_other_options_or_inputs_is_an_error() {
     workplace
         .command("train", "out", &few)
         .expect(1)
-        .says(&["features.parquet does not fit", "loopboost featurize"]);
+        .says(&["features.parquet was not made with this pipeline", "loopboost featurize"]);
     workplace.command("featurize", "out", &few).expect(0);
     workplace.command("train", "out", &few).expect(0);
 }

@@ -135,7 +135,7 @@ fn a_new_number_of_resamples_retrains_nothing() {
     let planned = workplace.command("run", "out", &dry_run).expect(0).stdout;
     let would_run: Vec<&str> =
         planned.lines().filter(|line| !line.ends_with("up to date")).collect();
-    let expected = "evaluate                 would run: evaluate.resamples 1000 is now 500";
+    let expected = "evaluate                 would run: evaluate.resamples: 1000 -> 500";
     assert_eq!(would_run, [expected], "{planned}");
     assert_eq!(done(&workplace.command("run", "out", &resamples).expect(0)), ["evaluate"]);
 }
@@ -269,7 +269,7 @@ fn lineage_and_verify_show_the_sources_and_the_changes_of_files() {
     for line in [
         "pairs.parquet changed after `label` wrote it",
         "report.html is missing (written by `evaluate`)",
-        "pairs.parquet changed after `train` read it to write grid.parquet, models/",
+        "pairs.parquet changed after `train` read it to write feature_usefulness.parquet, grid.parquet, models/",
     ] {
         assert!(printed.stdout.contains(line), "`{line}` is not in:\n{}", printed.stdout);
     }
