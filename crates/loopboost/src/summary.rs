@@ -1,0 +1,102 @@
+//! What a task reports on stdout: numbers in `run.json`, sentences for people.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// The result of a task in numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "summary", rename_all = "snake_case", deny_unknown_fields)]
+pub(crate) enum Summary {
+    /// A simulated drive.
+    Simulated {
+        log: String,
+        length_m: f64,
+        duration_s: f64,
+        n_revolutions: u64,
+        n_packets: u64,
+        n_files: u64,
+    },
+    /// An ingested log.
+    Ingested { log: String, n_scans: u64, n_poses: u64 },
+    /// The keyframes of a log.
+    Subsampled { log: String, n_keyframes: u64, length_m: f64 },
+    /// Labelled pairs.
+    Labelled { n_pairs_per_class: u64, candidates: label::Candidates },
+    /// Features.
+    Featurized { set: String, n_features: u64, n_keyframes: u64 },
+    /// A saved model, with its error by each grouping.
+    Trained { model: String, version: String, rounds: u64, errors: Vec<GroupingError> },
+    /// Errors of a learner by a grouping, after some rounds.
+    Evaluated { learner: String, grouping: String, errors: Vec<RoundsError> },
+    /// A file for people.
+    Written { file: String },
+}
+
+/// The error by a grouping, 0 to 1.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct GroupingError {
+    pub(crate) grouping: String,
+    pub(crate) error: f64,
+}
+
+/// The error after so many rounds, 0 to 1.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct RoundsError {
+    /// None for a baseline, which has no rounds.
+    pub(crate) rounds: Option<u64>,
+    pub(crate) error: f64,
+}
+
+impl fmt::Display for Summary {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Simulated { log, length_m, duration_s, n_revolutions, n_packets, n_files } => {
+                write!(
+                    f,
+                    "{log}: {length_m:.0} m in {duration_s:.0} s, {n_revolutions} revolutions, {n_packets} packets"
+                )?;
+                if *n_files > 1 {
+                    write!(f, " in {n_files} files")?;
+                }
+                Ok(())
+            }
+            Self::Ingested { log, n_scans, n_poses } => {
+                write!(f, "{log}: {n_scans} scans, {n_poses} poses")
+            }
+            Self::Subsampled { log, n_keyframes, length_m } => {
+                write!(f, "{log}: {n_keyframes} keyframes along {length_m:.0} m")
+            }
+            Self::Labelled { n_pairs_per_class: n, candidates } => write!(
+                f,
+                "{n} of {} positive and {n} of {} negative pairs; not used: {} ambiguous, {} too close along the path, {} without a common map frame",
+                candidates.positive,
+                candidates.negative,
+                candidates.ambiguous,
+                candidates.short_travel_gap,
+                candidates.without_common_frame
+            ),
+            Self::Featurized { set, n_features, n_keyframes } => {
+                write!(f, "{n_features} features ({set}) of {n_keyframes} keyframes")
+            }
+            Self::Trained { model, version, rounds, errors } => {
+                let errors: Vec<String> = errors
+                    .iter()
+                    .map(|of| format!("{:.1} % by {}", of.error * 100.0, of.grouping))
+                    .collect();
+                write!(f, "{model} {version}: error {} at T = {rounds}", errors.join(", "))
+            }
+            Self::Evaluated { learner, grouping, errors } => {
+                let errors: Vec<String> = errors
+                    .iter()
+                    .map(|of| match of.rounds {
+                        Some(rounds) => format!("{:.1} % at T = {rounds}", of.error * 100.0),
+                        None => format!("{:.1} %", of.error * 100.0),
+                    })
+                    .collect();
+                write!(f, "{learner} by {grouping}: error {}", errors.join(", "))
+            }
+            Self::Written { file } => f.write_str(file),
+        }
+    }
+}
