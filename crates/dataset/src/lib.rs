@@ -6,7 +6,6 @@
 //! Units: metres, radians and nanoseconds since the epoch, unless a name says otherwise.
 
 mod codes;
-mod dropped;
 mod keyframe;
 mod losses;
 mod notes;
@@ -21,7 +20,6 @@ mod scores;
 pub mod tables;
 
 pub use codes::{Severity, Subject};
-pub use dropped::Dropped;
 pub use keyframe::{Keyframe, ScanId};
 pub use losses::{Loss, LossKind, Losses};
 pub use notes::{Note, NoteKind};

@@ -312,16 +312,6 @@ codes! {
             /// What is wrong.
             fault: String,
         } => "undecodable frame{s} ({fault})";
-
-        // Training and evaluation.
-
-        /// A grouping that cannot be evaluated.
-        Warning "grouping_left_out" GroupingLeftOut {
-            /// The grouping, by name.
-            grouping: String,
-            /// Why, by code.
-            reason: String,
-        } => "grouping{s} not evaluated: `{grouping}` ({reason})";
     }
 }
 
@@ -481,19 +471,6 @@ impl From<Vec<Entry>> for Losses {
 impl From<Losses> for Vec<Entry> {
     fn from(losses: Losses) -> Self {
         losses.0.into_iter().map(|(loss, n)| Entry { loss, n }).collect()
-    }
-}
-
-/// Temporary: for consumers that still count by sentence.
-impl From<Losses> for crate::Dropped {
-    fn from(losses: Losses) -> Self {
-        let mut dropped = Self::default();
-        for (loss, n) in losses.iter() {
-            let sentence = loss.sentence(n);
-            let reason = sentence.split_once(' ').map_or("", |(_, reason)| reason);
-            dropped.add(reason, n);
-        }
-        dropped
     }
 }
 

@@ -24,6 +24,43 @@ codes! {
             files: Vec<String>,
         } => "read from {} files of one drive: {}", files.len(), files.join(", ");
 
+        // Training and evaluation.
+
+        /// A grouping has too few groups.
+        Warning "too_few_groups" TooFewGroups {
+            /// The grouping, by name.
+            grouping: String,
+            /// What its groups are: `logs`, `places`, ...
+            groups: String,
+            /// Groups found.
+            n_found: u64,
+        } => "grouping `{grouping}` not evaluated: it needs 2 {groups} or more, found {n_found}; add logs, or remove `{grouping}` from `evaluate.groupings`";
+        /// A class has fewer pairs than there are folds.
+        Warning "too_few_pairs_for_folds" TooFewPairsForFolds {
+            /// The grouping, by name.
+            grouping: String,
+            /// Folds asked for.
+            n_folds: u64,
+            /// `positive` or `negative`.
+            class: String,
+            /// Pairs found.
+            n_found: u64,
+        } => "grouping `{grouping}` not evaluated: {n_folds} folds need as many pairs of each class, found {n_found} {class} pairs; lower `evaluate.folds` or raise `label.pairs_per_class`";
+        /// Without some folds, only one class is left to train on.
+        Warning "one_class_left" OneClassLeft {
+            /// The grouping, by name.
+            grouping: String,
+            /// Positive pairs left.
+            n_positive: u64,
+            /// Negative pairs left.
+            n_negative: u64,
+        } => "grouping `{grouping}` not evaluated: {n_positive} positive and {n_negative} negative pairs are left to train on, expected both classes; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or remove `{grouping}` from `evaluate.groupings`";
+        /// A learner cannot be fitted without some folds.
+        Warning "grouping_not_trainable" GroupingNotTrainable {
+            /// The grouping, by name.
+            grouping: String,
+        } => "grouping `{grouping}` not evaluated: a learner cannot be fitted to the remaining pairs";
+
         // Velodyne packets.
 
         /// Packets come from more than one sensor.

@@ -14,8 +14,8 @@ use dataset::tables::{
     write_keyframes, write_pairs, write_poses, write_retrieval, write_rounds, write_scores,
 };
 use dataset::{
-    BoostingRound, Dropped, FeatureUsefulness, GridCell, HeldOut, Keyframe, Label, Pair, Pose2,
-    Retrieval, RetrievalPoint, Scan, ScanId, Scores, StampedPose, Trajectory,
+    BoostingRound, FeatureUsefulness, GridCell, HeldOut, Keyframe, Label, Pair, Pose2, Retrieval,
+    RetrievalPoint, Scan, ScanId, Scores, StampedPose, Trajectory,
 };
 
 fn provenance() -> Provenance {
@@ -24,7 +24,7 @@ fn provenance() -> Provenance {
         seed: 2436,
         options: serde_json::json!({"spacing_m": 0.5}),
         inputs: [("a.mcap".to_owned(), "00ff".to_owned())].into(),
-        dropped: Dropped::default(),
+        ..Provenance::default()
     }
 }
 
@@ -318,5 +318,5 @@ fn an_error_about_the_format_version_names_both_versions() {
     writer.write(&batch).unwrap();
     writer.close().unwrap();
     let message = read_pairs(&path, &[]).unwrap_err().to_string();
-    assert!(message.contains("format version 99, this program reads version 3"), "{message}");
+    assert!(message.contains("format version 99, this program reads version 4"), "{message}");
 }

@@ -40,7 +40,7 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
             "precision": row.confusion.precision(),
             "recall": row.confusion.recall(),
         })).collect::<Vec<_>>(),
-        "every_pair": input.retrieval.iter().map(retrieval).collect::<Vec<_>>(),
+        "retrieval": input.retrieval.iter().map(retrieval).collect::<Vec<_>>(),
         "features": input.feature_usefulness.iter().map(|row| json!({
             "feature": row.name,
             "auc": row.auc,
@@ -48,7 +48,8 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
             "chosen": row.chosen,
         })).collect::<Vec<_>>(),
         "grid": grid.collect::<Vec<_>>(),
-        "dropped": input.dropped,
+        "losses": input.losses,
+        "notes": input.notes,
         "paper": { "learners": ["discrete", "gentle"], "rounds": PAPER_ROUNDS, "error_below": PAPER_ERROR_BELOW },
     })
 }

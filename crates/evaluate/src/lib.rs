@@ -35,7 +35,8 @@ mod text;
 
 use dataset::tables::FeatureTable;
 use dataset::{
-    BoostingRound, Dropped, FeatureUsefulness, GridCell, Keyframe, Label, Pair, Retrieval, Scores,
+    BoostingRound, FeatureUsefulness, GridCell, Keyframe, Label, Losses, Note, Pair, Retrieval,
+    Scores,
 };
 
 pub use bootstrap::{Estimate, MIN_GROUPS, Summary};
@@ -62,7 +63,7 @@ pub struct Input<'a> {
     /// The scores of the pairs, `(n_learners * n_groupings,)`.
     pub scores: &'a [Scores],
     /// For each requested grouping that could not be evaluated, the reason.
-    pub not_evaluated: &'a [String],
+    pub not_evaluated: &'a [Note],
     /// The feature that each boosting round selected.
     pub rounds: &'a [BoostingRound],
     /// Retrieval at natural prevalence; empty if not requested.
@@ -78,7 +79,9 @@ pub struct Input<'a> {
     /// The run's seed.
     pub seed: u64,
     /// What the stages of the run left out.
-    pub dropped: &'a Dropped,
+    pub losses: &'a Losses,
+    /// What the stages of the run remarked, without `not_evaluated`.
+    pub notes: &'a [Note],
 }
 
 impl Input<'_> {

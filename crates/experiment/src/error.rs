@@ -1,5 +1,6 @@
 use std::fmt;
 
+use dataset::{Note, NoteKind};
 use label::{Grouping, LabelError};
 use train::{FoldError, TrainError};
 
@@ -37,6 +38,34 @@ pub struct NotEvaluated {
     pub grouping: Grouping,
     /// Why not.
     pub error: ExperimentError,
+}
+
+impl NotEvaluated {
+    /// The reason as a warning.
+    pub fn note(&self) -> Note {
+        let grouping = self.grouping.name().to_owned();
+        let kind = match &self.error {
+            ExperimentError::Label(LabelError::TooFewGroups { groups, found, .. }) => {
+                let (groups, n_found) = ((*groups).to_owned(), *found as u64);
+                NoteKind::TooFewGroups { grouping, groups, n_found }
+            }
+            ExperimentError::Label(LabelError::TooFewForFolds { folds, class, found }) => {
+                let (n_folds, n_found) = (u64::from(*folds), *found as u64);
+                let class = (*class).to_owned();
+                NoteKind::TooFewPairsForFolds { grouping, n_folds, class, n_found }
+            }
+            ExperimentError::Fold {
+                source: FoldError::OneClass { n_positive, n_negative, .. },
+                ..
+            } => NoteKind::OneClassLeft {
+                grouping,
+                n_positive: *n_positive as u64,
+                n_negative: *n_negative as u64,
+            },
+            _ => NoteKind::GroupingNotTrainable { grouping },
+        };
+        kind.into()
+    }
 }
 
 /// The reason, with its causes.

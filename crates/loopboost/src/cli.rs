@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Args, FromArgMatches, Parser, Subcommand, ValueEnum};
-use dataset::Dropped;
 
 use crate::config::{Config, usage};
+use crate::findings::Findings;
 use crate::import::ImportArgs;
 use crate::inspect::InspectArgs;
 use crate::run::{Mode, Run};
@@ -202,8 +202,8 @@ struct PipelineArgs {
 }
 
 impl Cli {
-    /// Does what was asked. Returns what was left out.
-    pub(crate) fn execute(self) -> Result<Dropped> {
+    /// Does what was asked. Returns what was left out and remarked.
+    pub(crate) fn execute(self) -> Result<Findings> {
         match self.command {
             Command::Run { args, force, dry_run, strict } => {
                 let mode = if dry_run { Mode::DryRun { force } } else { Mode::Resume { force } };
@@ -232,7 +232,7 @@ impl Cli {
                     SchemaOf::Model => model::schema(),
                 };
                 out!("{}", serde_json::to_string_pretty(&schema)?);
-                Ok(Dropped::default())
+                Ok(Findings::default())
             }
             Command::Model { command } => done(match command {
                 ModelCommand::List { folder } => models::list(&folder),
@@ -252,20 +252,20 @@ impl PipelineArgs {
         self,
         mode: Mode,
         strict: bool,
-        stage: fn(&Run) -> Result<Dropped>,
-    ) -> Result<Dropped> {
+        stage: fn(&Run) -> Result<Findings>,
+    ) -> Result<Findings> {
         let config = Config::load(&self.pipeline, &self.overrides)?;
         match self.out {
             Some(out) if !self.print_config => stage(&Run::new(config, out, mode, strict)?),
             _ => {
                 out!("{}", config.to_toml()?.trim_end());
-                Ok(Dropped::default())
+                Ok(Findings::default())
             }
         }
     }
 }
 
 /// For commands that read no logs.
-fn done(result: Result<()>) -> Result<Dropped> {
-    result.map(|()| Dropped::default())
+fn done(result: Result<()>) -> Result<Findings> {
+    result.map(|()| Findings::default())
 }

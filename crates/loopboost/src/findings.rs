@@ -121,7 +121,9 @@ mod tests {
         for log in ["a", "b", "c", "d"] {
             let subject = Subject::topic("/velodyne_packets").in_log(log);
             findings.losses.add(Loss::new(LossKind::DuplicatePackets, subject.clone()), 2);
-            findings.notes.push(Note::new(NoteKind::PartialRevolutions { n_revolutions: 2 }, subject));
+            findings
+                .notes
+                .push(Note::new(NoteKind::PartialRevolutions { n_revolutions: 2 }, subject));
         }
         findings.losses.add(LossKind::DatagramsToOtherPorts, 1);
         let stamps = NoteKind::StampSteps { n_steps: 1, largest_s: 0.5 };
@@ -141,8 +143,7 @@ mod tests {
             assert!(line.starts_with(start), "{line}");
         }
         let warnings = findings.warnings();
-        let expected =
-            [("duplicate_packets".to_owned(), 8), ("stamp_steps".to_owned(), 1)].into();
+        let expected = [("duplicate_packets".to_owned(), 8), ("stamp_steps".to_owned(), 1)].into();
         assert_eq!(warnings, expected);
     }
 }

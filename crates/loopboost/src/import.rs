@@ -9,9 +9,9 @@ use ::import::{Compression, ImportError, Imported, Options};
 use anyhow::{Context, Result, anyhow};
 use clap::{Args, ValueEnum};
 use dataset::tables::{TableError, write_atomically};
-use dataset::{Dropped, Losses, Severity};
 use serde_json::json;
 
+use crate::findings::Findings;
 use crate::run::progress_bar;
 
 #[derive(Args)]
@@ -49,7 +49,7 @@ enum CompressionArg {
 
 impl ImportArgs {
     /// Writes the log. Returns the sensor data that could not be used.
-    pub(crate) fn execute(self) -> Result<Dropped> {
+    pub(crate) fn execute(self) -> Result<Findings> {
         if self.out.exists() {
             return Err(anyhow!(
                 "{} already exists; choose another file with --out",
@@ -84,17 +84,8 @@ impl ImportArgs {
             true => print_json(&self.out, &imported)?,
             false => print(&self.out, &imported),
         }
-        Ok(warnings(&imported.losses).into())
+        Ok(imported.losses.into())
     }
-}
-
-/// The losses that need attention.
-fn warnings(losses: &Losses) -> Losses {
-    let mut warnings = Losses::default();
-    for (loss, n) in losses.iter().filter(|(loss, _)| Severity::Info < loss.kind.severity()) {
-        warnings.add(loss.clone(), n);
-    }
-    warnings
 }
 
 fn print(path: &Path, imported: &Imported) {
@@ -102,9 +93,6 @@ fn print(path: &Path, imported: &Imported) {
     out!("{}: {}, {seconds:.1} s", path.display(), imported.format);
     for topic in &imported.topics {
         out!("  {:<24} {} ({} messages)", topic.topic, topic.message_type, topic.n_messages);
-    }
-    for (loss, n) in imported.losses.iter().filter(|(l, _)| l.kind.severity() == Severity::Info) {
-        out!("  {}", loss.sentence(n));
     }
 }
 

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
-use dataset::Dropped;
 use ingest::{ClockSurvey, Content, HORIZONTAL_LASER, PacketsSurvey, Survey, TopicSurvey, survey};
 use serde_json::json;
 
+use crate::findings::Findings;
 use crate::logs::{self, LogFile};
 use crate::plot;
 use crate::run::progress_bar;
@@ -33,7 +33,7 @@ pub(crate) struct InspectArgs {
 }
 
 /// Describes a log. Writes the suggested pipeline and draws the path if requested.
-pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
+pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     let InspectArgs { log: path, write, plot, track_m, json: as_json } = args;
     let (write, as_json) = (write.as_deref(), *as_json);
     let drive = drive(path)?;
@@ -43,6 +43,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
     let mut survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
     progress.finish_and_clear();
     survey.losses.merge(lost);
+    let mut findings = Findings::default();
     let suggestion = Suggestion::of(&survey, *track_m);
     let missing = suggestion.missing();
     let from = write.and_then(Path::parent);
@@ -59,8 +60,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
     if let Some(file) = plot {
         match &pipeline {
             Some(pipeline) if suggestion.has_poses() => {
-                let notes = plot::plot(file, &drive.name, &logs, pipeline)?;
-                notes.iter().for_each(|note| eprintln!("{}: {note}", drive.name));
+                findings.notes = plot::plot(file, &drive.name, &logs, pipeline)?;
                 eprintln!("wrote {}", file.display());
             }
             _ => {
@@ -92,7 +92,8 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Dropped> {
         }
         _ => {}
     }
-    Ok(survey.losses.into())
+    findings.losses = survey.losses;
+    Ok(findings)
 }
 
 /// The drive in a file or folder. It is an error if there are several.

@@ -39,8 +39,11 @@ fn print_branch(
         provenance.seed,
         provenance.options
     );
-    if !provenance.dropped.is_empty() {
-        out!("{indent}  dropped: {}", provenance.dropped);
+    for (loss, n) in provenance.losses.iter() {
+        out!("{indent}  left out: {}", loss.sentence(n));
+    }
+    for note in &provenance.notes {
+        out!("{indent}  note: {note}");
     }
     let last = provenance.inputs.len().saturating_sub(1);
     for (k, (name, digest)) in provenance.inputs.iter().enumerate() {

@@ -14,6 +14,7 @@ macro_rules! out {
 
 mod cli;
 mod config;
+mod findings;
 mod import;
 mod inspect;
 mod lineage;
@@ -25,6 +26,7 @@ mod run;
 mod stage;
 mod stages;
 mod suggest;
+mod summary;
 
 use std::process::ExitCode;
 
@@ -51,13 +53,18 @@ fn main() -> ExitCode {
     sigpipe::reset();
     let cli = Cli::parse();
     let code = match cli.execute() {
-        Ok(dropped) if dropped.is_empty() => DONE,
-        Ok(dropped) => {
-            eprintln!("warning: some data could not be used:");
-            for (reason, n) in dropped.iter() {
-                eprintln!("  {n} {reason}");
+        Ok(findings) => {
+            for line in findings.lines() {
+                eprintln!("{line}");
             }
-            NEEDS_ATTENTION
+            match findings.warnings().len() {
+                0 => DONE,
+                n => {
+                    let warnings = if n == 1 { "warning" } else { "warnings" };
+                    eprintln!("done with {n} {warnings}; docs/messages.md explains each code");
+                    NEEDS_ATTENTION
+                }
+            }
         }
         Err(error) => {
             eprintln!("error: {error:#}");

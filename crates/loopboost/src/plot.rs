@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
+use dataset::Note;
 use dataset::tables::write_file;
 use ingest::{Log, Options};
 use subsample::Candidate;
@@ -12,7 +13,7 @@ use crate::config::Config;
 use crate::run::progress_bar;
 
 /// Draws poses, their uncertainty, and the keyframes. Returns the notes about the poses.
-pub(crate) fn plot(file: &Path, name: &str, logs: &[Log], pipeline: &str) -> Result<Vec<String>> {
+pub(crate) fn plot(file: &Path, name: &str, logs: &[Log], pipeline: &str) -> Result<Vec<Note>> {
     if file.extension().is_none_or(|extension| extension != "svg") {
         return Err(anyhow!(
             "--plot is {}, expected a file name that ends in .svg",
@@ -50,5 +51,5 @@ pub(crate) fn plot(file: &Path, name: &str, logs: &[Log], pipeline: &str) -> Res
     let trajectory = &ingested.trajectory;
     let (kept, _) = subsample::subsample(&config.subsample, &log, &log, &candidates, trajectory)?;
     write_file(file, evaluate::path_svg(name, trajectory.poses(), &kept).as_bytes())?;
-    Ok(ingested.notes.iter().map(ToString::to_string).collect())
+    Ok(ingested.notes)
 }

@@ -14,6 +14,7 @@ pub fn card(model: &Model) -> String {
 
 fn write_card(card: &mut String, model: &Model) -> fmt::Result {
     write_description(card, model)?;
+    write_warnings(card, &model.training)?;
     write_results(card, &model.measured, &model.training)?;
     write_operating_points(card, &model.operating_points)?;
     write_limits(card)?;
@@ -60,6 +61,22 @@ fn write_description(card: &mut String, model: &Model) -> fmt::Result {
     writeln!(card, "| labels | `{}` |", model.label_options)?;
     writeln!(card, "| seed | {} |", model.seed)?;
     writeln!(card, "| program | loopboost {} |\n", model.program_version)
+}
+
+fn write_warnings(card: &mut String, training: &Training) -> fmt::Result {
+    writeln!(card, "## Warnings\n")?;
+    if training.warnings.is_empty() {
+        return writeln!(card, "The training data have no warnings.\n");
+    }
+    writeln!(
+        card,
+        "The training data need attention. docs/messages.md explains each code.\n\n\
+         | code | count |\n|---|---|"
+    )?;
+    for (code, n) in &training.warnings {
+        writeln!(card, "| `{code}` | {n} |")?;
+    }
+    writeln!(card)
 }
 
 fn write_results(card: &mut String, measured: &[Measured], training: &Training) -> fmt::Result {

@@ -116,6 +116,9 @@ pub struct Training {
     pub n_negative: usize,
     /// BLAKE3 digests of the training tables and of the logs, in hex, by name.
     pub digests: BTreeMap<String, String>,
+    /// Warnings about the training data: code and count. `docs/messages.md` explains the codes.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub warnings: BTreeMap<String, u64>,
 }
 
 /// Cross-validated errors at the model's last round and threshold 0.

@@ -3,12 +3,12 @@ use std::collections::BTreeMap;
 use parquet::file::metadata::KeyValue;
 use serde_json::Value;
 
-use crate::Dropped;
+use crate::{Losses, Note};
 
-/// Version of the table formats; a table of another version is not read.
-pub const FORMAT_VERSION: u32 = 3;
+/// Version of the table formats. A table of another version is not read.
+pub const FORMAT_VERSION: u32 = 4;
 
-/// Where a table comes from; it travels in the table's key-value metadata.
+/// Where a table comes from. It is stored in the key-value metadata of the table.
 ///
 /// | key | value |
 /// |---|---|
@@ -18,19 +18,22 @@ pub const FORMAT_VERSION: u32 = 3;
 /// | `loopboost.seed` | the run's seed |
 /// | `loopboost.options` | the stage's options, resolved, as JSON |
 /// | `loopboost.inputs` | JSON object: input file to BLAKE3 digest, hex |
-/// | `loopboost.dropped` | JSON object: reason to count of what the stage had to leave out |
+/// | `loopboost.losses` | JSON list of what the stage left out: code, arguments, subject, count `n` |
+/// | `loopboost.notes` | JSON list of remarks: code, arguments, subject |
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Provenance {
     /// Version of the program that wrote the table.
     pub program_version: String,
     /// The run's seed.
     pub seed: u64,
-    /// The stage's options, all defaults resolved.
+    /// The options of the stage, with all defaults.
     pub options: Value,
-    /// Inputs, by their name in the run folder (logs: by file name), with their BLAKE3 digests.
+    /// BLAKE3 digests of the inputs, by name in the run folder (logs: by file name).
     pub inputs: BTreeMap<String, String>,
     /// What the stage left out.
-    pub dropped: Dropped,
+    pub losses: Losses,
+    /// What the stage remarked.
+    pub notes: Vec<Note>,
 }
 
 impl Provenance {
@@ -38,7 +41,7 @@ impl Provenance {
         self.entries(kind).into_iter().map(|(key, value)| KeyValue::new(key, value)).collect()
     }
 
-    /// Keys and values as an artifact of a kind carries them.
+    /// Keys and values, as an artifact of a kind stores them.
     pub fn entries(&self, kind: &str) -> Vec<(String, String)> {
         let entry = |key: &str, value: String| (format!("loopboost.{key}"), value);
         vec![
@@ -48,11 +51,12 @@ impl Provenance {
             entry("seed", self.seed.to_string()),
             entry("options", self.options.to_string()),
             entry("inputs", serde_json::json!(self.inputs).to_string()),
-            entry("dropped", serde_json::json!(self.dropped).to_string()),
+            entry("losses", serde_json::json!(self.losses).to_string()),
+            entry("notes", serde_json::json!(self.notes).to_string()),
         ]
     }
 
-    /// Kind and provenance from the keys and values of an artifact; none where one is missing.
+    /// Kind and provenance from the keys and values of an artifact; none if one is missing.
     pub fn from_entries(get: impl Fn(&str) -> Option<String>) -> Option<(String, Self)> {
         let of = |key: &str| get(&format!("loopboost.{key}"));
         Some((of("kind")?, Self::from_metadata(of)?))
@@ -65,7 +69,8 @@ impl Provenance {
             seed: get("seed")?.parse().ok()?,
             options: serde_json::from_str(&get("options")?).ok()?,
             inputs: serde_json::from_str(&get("inputs")?).ok()?,
-            dropped: serde_json::from_str(&get("dropped")?).ok()?,
+            losses: serde_json::from_str(&get("losses")?).ok()?,
+            notes: serde_json::from_str(&get("notes")?).ok()?,
         })
     }
 }

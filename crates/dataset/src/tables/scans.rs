@@ -37,7 +37,7 @@ use rayon::prelude::*;
 use super::columns::Columns;
 use super::file::{open_table, properties, unreadable, write_error};
 use super::{Provenance, Result, TableError, write_atomically};
-use crate::{Dropped, Scan};
+use crate::{Losses, Note, Scan};
 
 /// Rows in a row group; fixed, so that the bytes do not depend on how scans arrive.
 const SCANS_PER_GROUP: usize = 128;
@@ -78,7 +78,8 @@ pub struct ScanWriter<'a> {
     factory: ArrowRowGroupWriterFactory,
     schema: SchemaRef,
     provenance: Provenance,
-    dropped: Dropped,
+    losses: Losses,
+    notes: Vec<Note>,
     waiting: Vec<Scan>,
     n_scans: u32,
     n_groups: usize,
@@ -116,14 +117,15 @@ impl<'a> ScanWriter<'a> {
             factory,
             schema,
             provenance: provenance.clone(),
-            dropped: Dropped::default(),
+            losses: Losses::default(),
+            notes: Vec::new(),
             waiting: Vec::new(),
             n_scans: 0,
             n_groups: 0,
         })
     }
 
-    /// Adds scans behind those already given.
+    /// Adds scans after those already given.
     pub fn push(&mut self, scans: impl IntoIterator<Item = Scan>) -> Result<()> {
         self.waiting.extend(scans);
         // Full groups are encoded as soon as there is one for each thread.
@@ -138,14 +140,15 @@ impl<'a> ScanWriter<'a> {
         self.n_scans + self.waiting.len() as u32
     }
 
-    /// Records in the table's provenance what had to be left out of it.
-    pub fn set_dropped(&mut self, dropped: Dropped) {
-        self.dropped = dropped;
+    /// Stores in the provenance of the table what was left out of it, and the remarks about it.
+    pub fn set_findings(&mut self, losses: Losses, notes: Vec<Note>) {
+        self.losses = losses;
+        self.notes = notes;
     }
 
     fn finish(mut self) -> Result<BufWriter<File>> {
         self.write_groups(self.waiting.len())?;
-        let provenance = Provenance { dropped: self.dropped, ..self.provenance };
+        let provenance = Provenance { losses: self.losses, notes: self.notes, ..self.provenance };
         for entry in provenance.to_metadata("scans") {
             self.file.append_key_value_metadata(entry);
         }

@@ -15,11 +15,15 @@ pub(super) fn section(input: &Input<'_>, facts: &[Fact]) -> Markup {
     html! {
         section {
             h2 { "Data and options" }
-            @if input.dropped.is_empty() {
+            @if input.losses.is_empty() {
                 p { "Nothing was left out." }
             } @else {
                 h3 { "Left out" }
-                ul { @for (reason, n) in input.dropped.iter() { li { (n) " " (reason) } } }
+                ul { @for (loss, n) in input.losses.iter() { li { (loss.sentence(n)) " " code { (loss.kind.code()) } } } }
+            }
+            @if !input.notes.is_empty() {
+                h3 { "Notes" }
+                ul { @for note in input.notes { li { (note) " " code { (note.code()) } } } }
             }
             div class="scroll" {
                 table class="facts" {

@@ -7,20 +7,22 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow};
-use dataset::Dropped;
 use dataset::tables::{Provenance, write_file};
+use dataset::{Losses, Note};
 use serde::{Deserialize, Serialize};
+
+use crate::summary::Summary;
 
 /// Version of the layout of `run.json`. A file of another version is not read, and every stage runs
 /// again.
-const FORMAT_VERSION: u32 = 2;
+const FORMAT_VERSION: u32 = 3;
 
 /// The tasks of a run folder, by name ("ingest monday", "label").
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Manifest {
     format_version: u32,
-    /// Logs that could not be ingested, and why.
+    /// Logs that could not be ingested, with the code of the error.
     pub(crate) failed: BTreeMap<String, String>,
     pub(crate) tasks: BTreeMap<String, Record>,
 }
@@ -36,9 +38,10 @@ pub(crate) struct Record {
     pub(crate) inputs: BTreeMap<String, String>,
     /// Names and digests of what it wrote.
     pub(crate) outputs: BTreeMap<String, String>,
-    pub(crate) dropped: Dropped,
+    pub(crate) losses: Losses,
+    pub(crate) notes: Vec<Note>,
     /// What it printed on stdout.
-    pub(crate) said: Vec<String>,
+    pub(crate) summaries: Vec<Summary>,
 }
 
 impl Manifest {

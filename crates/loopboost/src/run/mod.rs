@@ -12,12 +12,14 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
-use dataset::Dropped;
 use dataset::tables::Provenance;
+use dataset::{Loss, LossKind, Losses, Note, Subject};
 
 use crate::config::{Config, usage};
+use crate::findings::Findings;
 use crate::logs::LogFile;
 use crate::stage::{Artifact, Stage};
+use crate::summary::Summary;
 
 pub(crate) use cache::missing_log;
 pub(crate) use manifest::{Manifest, changes};
@@ -74,8 +76,10 @@ pub(crate) struct Task {
 #[derive(Default)]
 pub(crate) struct Done {
     pub(crate) outputs: Vec<PathBuf>,
-    pub(crate) dropped: Dropped,
-    pub(crate) said: Vec<String>,
+    pub(crate) losses: Losses,
+    pub(crate) notes: Vec<Note>,
+    /// What to print on stdout.
+    pub(crate) summaries: Vec<Summary>,
 }
 
 impl Run {
@@ -203,16 +207,17 @@ impl Run {
         matches!(self.mode, Mode::DryRun { .. })
     }
 
-    /// Records whether a log could be ingested, for the stages that follow.
-    pub(crate) fn set_failed(&self, log: &str, reason: Option<String>) -> Result<()> {
+    /// Records whether a log could be ingested, for the stages that follow. The error is given by
+    /// its code.
+    pub(crate) fn set_failed(&self, log: &str, error: Option<&str>) -> Result<()> {
         let mut manifest = self.manifest.borrow_mut();
-        if self.is_dry() || manifest.failed.get(log) == reason.as_ref() {
+        if self.is_dry() || manifest.failed.get(log).map(String::as_str) == error {
             return Ok(());
         }
-        match reason {
-            Some(reason) => {
+        match error {
+            Some(error) => {
                 manifest.tasks.remove(&format!("{} {log}", Stage::Ingest));
-                manifest.failed.insert(log.to_owned(), reason);
+                manifest.failed.insert(log.to_owned(), error.to_owned());
             }
             None => {
                 manifest.failed.remove(log);
@@ -221,13 +226,40 @@ impl Run {
         manifest.save(&self.folder.root)
     }
 
+    /// What all stages before this one left out and remarked.
+    pub(crate) fn findings_before(&self, stage: Stage) -> Result<Findings> {
+        let mut findings = Findings { losses: self.losses_of_failed_logs(), notes: Vec::new() };
+        let logs = self.ingested_logs()?;
+        let manifest = self.manifest.borrow();
+        for earlier in Stage::ALL.into_iter().filter(|earlier| *earlier < stage) {
+            let of_logs = logs.iter().map(|log| format!("{earlier} {}", log.name));
+            for name in of_logs.chain([earlier.to_string()]) {
+                if let Some(Record { losses, notes, .. }) = manifest.tasks.get(&name) {
+                    findings.losses.merge(losses.clone());
+                    findings.notes.extend(notes.iter().cloned());
+                }
+            }
+        }
+        Ok(findings)
+    }
+
+    /// The logs that could not be ingested.
+    pub(crate) fn losses_of_failed_logs(&self) -> Losses {
+        let mut losses = Losses::default();
+        for (log, error) in &self.manifest.borrow().failed {
+            let kind = LossKind::LogLeftOut { error: error.clone() };
+            losses.add(Loss::new(kind, Subject::log(log)), 1);
+        }
+        losses
+    }
+
     /// Does a task, unless it was done with the same inputs and options and its outputs are
-    /// unaltered. Returns what was left out, now or then.
+    /// unaltered. Returns what was left out and remarked, now or then.
     pub(crate) fn task(
         &self,
         task: &Task,
         work: impl FnOnce(Provenance) -> Result<Done>,
-    ) -> Result<Dropped> {
+    ) -> Result<Findings> {
         let name = match &task.log {
             Some(log) => format!("{} {log}", task.stage),
             None => task.stage.to_string(),
@@ -235,17 +267,17 @@ impl Run {
         let record = self.manifest.borrow().tasks.get(&name).cloned();
         if let Mode::DryRun { force } = &self.mode {
             self.plan(&name, task, record.as_ref(), force.contains(&task.stage))?;
-            return Ok(Dropped::default());
+            return Ok(Findings::default());
         }
         let provenance = self.provenance(task)?;
         if let (Mode::Resume { force }, Some(record)) = (&self.mode, record)
             && !force.contains(&task.stage)
             && self.changes_since(&record, &provenance).is_empty()
         {
-            for line in &record.said {
-                self.say(task.stage, format!("{line} (unchanged)"));
+            for summary in &record.summaries {
+                self.print(task.stage, format!("{summary} (unchanged)"));
             }
-            return Ok(record.dropped);
+            return Ok(Findings { losses: record.losses, notes: record.notes });
         }
         for input in &task.inputs {
             self.check_fresh(input)?;
@@ -261,15 +293,15 @@ impl Run {
         stage: Stage,
         done: Done,
         provenance: Provenance,
-    ) -> Result<Dropped> {
+    ) -> Result<Findings> {
         let mut outputs = BTreeMap::new();
         for path in &done.outputs {
             self.digests.borrow_mut().remove(path);
             self.fresh.borrow_mut().remove(path);
             outputs.insert(self.folder.name_of(path), self.digest(path)?);
         }
-        for line in &done.said {
-            self.say(stage, line);
+        for summary in &done.summaries {
+            self.print(stage, summary);
         }
         let record = Record {
             program_version: provenance.program_version,
@@ -277,17 +309,18 @@ impl Run {
             options: provenance.options,
             inputs: provenance.inputs,
             outputs,
-            dropped: done.dropped.clone(),
-            said: done.said,
+            losses: done.losses.clone(),
+            notes: done.notes.clone(),
+            summaries: done.summaries,
         };
         let mut manifest = self.manifest.borrow_mut();
         manifest.tasks.insert(name, record);
         manifest.save(&self.folder.root)?;
-        Ok(done.dropped)
+        Ok(Findings { losses: done.losses, notes: done.notes })
     }
 
     /// Prints a result on stdout.
-    pub(crate) fn say(&self, stage: Stage, what: impl std::fmt::Display) {
+    fn print(&self, stage: Stage, what: impl std::fmt::Display) {
         if self.mode != Mode::Quiet {
             out!("{stage:<10} {what}");
         }

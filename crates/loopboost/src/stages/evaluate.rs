@@ -7,41 +7,44 @@ use dataset::tables::{
     Provenance, TableError, read_feature_usefulness, read_features, read_grid, read_keyframes,
     read_pairs, read_retrieval, read_rounds, read_scores, write_file,
 };
-use dataset::{Dropped, Keyframe, Scan};
+use dataset::{Keyframe, Note, Scan};
 use evaluate::{Evaluation, Fact, Input, Sketches};
 
 use crate::config::Config;
+use crate::findings::Findings;
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
+use crate::summary::{RoundsError, Summary};
 
 /// Scores -> evaluation/, report.html
-pub(crate) fn run(run: &Run) -> Result<Dropped> {
+pub(crate) fn run(run: &Run) -> Result<Findings> {
     run.task(&run.task_of(Stage::Evaluate)?, |provenance| evaluate(run, &provenance))
 }
 
 /// As [`run`], and then prints the numbers.
-pub(crate) fn run_and_print(run: &Run) -> Result<Dropped> {
-    let dropped = self::run(run)?;
+pub(crate) fn run_and_print(run: &Run) -> Result<Findings> {
+    let findings = self::run(run)?;
     let path = run.path_of(Artifact::Summary);
     let text = std::fs::read_to_string(&path)
         .with_context(|| format!("cannot read {}", path.display()))?;
     out!("{}", text.trim_end());
-    Ok(dropped)
+    Ok(findings)
 }
 
 fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
-    let (keyframes, of_keyframes) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
+    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
     let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
     let (features, _) = read_features(&run.path_of(Artifact::Features))?;
     let (scores, of_scores) = read_scores(&run.path_of(Artifact::Scores), &pairs)?;
-    let not_evaluated: Vec<String> =
-        of_scores.dropped.iter().map(|(reason, _)| reason.to_owned()).collect();
+    let not_evaluated: Vec<Note> = of_scores.notes;
     let (rounds, _) = read_rounds(&run.path_of(Artifact::Rounds))?;
     let (retrieval, _) = read_retrieval(&run.path_of(Artifact::Retrieval))?;
     let (grid, _) = read_grid(&run.path_of(Artifact::Grid))?;
     let usefulness = run.path_of(Artifact::FeatureUsefulness);
     let (feature_usefulness, _) = read_feature_usefulness(&usefulness)?;
-    let Logs { dropped, mut facts } = read_logs(run, of_keyframes.dropped)?;
+    let Findings { losses, mut notes } = run.findings_before(Stage::Evaluate)?;
+    notes.retain(|note| !not_evaluated.contains(note));
+    let mut facts = digests_of_logs(run)?;
     facts.extend(options(&run.config)?);
 
     let input = Input {
@@ -56,35 +59,28 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         grid: &grid,
         resamples: run.config.evaluate.resamples,
         seed: run.config.seed,
-        dropped: &dropped,
+        losses: &losses,
+        notes: &notes,
     };
     let evaluation = evaluate::evaluate(&input);
     let mut sketches = Sketches::new(&input, &evaluation);
     each_scan(run, &keyframes, |k, scan| sketches.add(&input, k, scan))?;
 
     let outputs = write(run, provenance, &input, &evaluation, &sketches, &facts)?;
-    let mut said = summary_lines(&input, &evaluation);
-    said.push("report.html".to_owned());
-    Ok(Done { outputs, said, ..Done::default() })
+    let mut summaries = summaries(&input, &evaluation);
+    summaries.push(Summary::Written { file: Artifact::Report.pattern().to_owned() });
+    Ok(Done { outputs, summaries, ..Done::default() })
 }
 
-/// What the tables of the scans say about the logs.
-struct Logs {
-    /// What was left out of the logs, and before.
-    dropped: Dropped,
-    /// Their digests.
-    facts: Vec<Fact>,
-}
-
-fn read_logs(run: &Run, mut dropped: Dropped) -> Result<Logs> {
+/// The digests of the logs, which the tables of their scans have stored.
+fn digests_of_logs(run: &Run) -> Result<Vec<Fact>> {
     let mut facts = Vec::new();
     for log in run.ingested_logs()? {
         let (_, of_scans) = read_scan_headers(&run.scans(&log.name))?;
-        dropped.merge(of_scans.dropped);
         let digests = of_scans.inputs.into_iter();
         facts.extend(digests.map(|(log, digest)| fact(&format!("BLAKE3 of {log}"), digest)));
     }
-    Ok(Logs { dropped, facts })
+    Ok(facts)
 }
 
 /// Reads the scans of all keyframes, log by log.
@@ -136,29 +132,33 @@ fn write(
 
 /// The error of each learner and grouping: after few rounds and after the last one, or the only
 /// error if both are the same or the learner has no rounds.
-fn summary_lines(input: &Input<'_>, evaluation: &Evaluation) -> Vec<String> {
-    let line = |curve: &evaluate::PrCurve| {
+fn summaries(input: &Input<'_>, evaluation: &Evaluation) -> Vec<Summary> {
+    let of_curve = |curve: &evaluate::PrCurve| {
         let rows: Vec<_> = evaluation
             .errors
             .iter()
             .filter(|row| row.learner == curve.learner && row.grouping == curve.grouping)
             .collect();
-        let error_at = |rounds: usize| {
-            let row = rows.iter().find(|row| row.rounds == rounds);
-            row.map_or(f64::NAN, |row| row.confusion.error() * 100.0)
+        let is_boosted = input.is_boosted(&curve.learner);
+        let error_at = |rounds: usize| RoundsError {
+            rounds: is_boosted.then_some(rounds as u64),
+            error: rows
+                .iter()
+                .find(|row| row.rounds == rounds)
+                .map_or(f64::NAN, |row| row.confusion.error()),
         };
-        let (few, last) =
-            (curve.rounds, rows.iter().map(|row| row.rounds).max().unwrap_or(curve.rounds));
-        let errors = if !input.is_boosted(&curve.learner) {
-            format!("{:.1} %", error_at(last))
-        } else if few == last {
-            format!("{:.1} % at T = {last}", error_at(last))
-        } else {
-            format!("{:.1} % at T = {few}, {:.1} % at T = {last}", error_at(few), error_at(last))
+        let last = rows.iter().map(|row| row.rounds).max().unwrap_or(curve.rounds);
+        let errors = match is_boosted && curve.rounds != last {
+            true => vec![error_at(curve.rounds), error_at(last)],
+            false => vec![error_at(last)],
         };
-        format!("{} by {}: error {errors}", curve.learner, curve.grouping)
+        Summary::Evaluated {
+            learner: curve.learner.clone(),
+            grouping: curve.grouping.clone(),
+            errors,
+        }
     };
-    evaluation.precision_recall.iter().map(line).collect()
+    evaluation.precision_recall.iter().map(of_curve).collect()
 }
 
 /// All options of the run, for the last section of the report.

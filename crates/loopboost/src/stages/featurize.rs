@@ -3,18 +3,20 @@ use dataset::tables::scans::read_scans;
 use dataset::tables::{
     FeatureTable, Provenance, read_keyframes, write_feature_stability, write_features,
 };
-use dataset::{Dropped, Keyframe, Scan, Unusable};
+use dataset::{Keyframe, Scan, Unusable};
 use featurize::Featurizer;
 use rayon::prelude::*;
 
+use crate::findings::Findings;
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
+use crate::summary::Summary;
 
 /// Number of scans that the stability of the features is measured on; enough for a median.
 const STABILITY_SCANS: usize = 1000;
 
 /// Keyframes -> features.parquet, feature_stability.parquet
-pub(crate) fn run(run: &Run) -> Result<Dropped> {
+pub(crate) fn run(run: &Run) -> Result<Findings> {
     run.task(&run.task_of(Stage::Featurize)?, |provenance| featurize(run, &provenance))
 }
 
@@ -28,13 +30,12 @@ fn featurize(run: &Run, provenance: &Provenance) -> Result<Done> {
     let outputs = [Artifact::Features, Artifact::FeatureStability].map(|table| run.path_of(table));
     write_features(&outputs[0], provenance, &table)?;
     write_feature_stability(&outputs[1], provenance, &table.names, &stability)?;
-    let said = format!(
-        "{} features ({}) of {} keyframes",
-        table.names.len(),
-        options.set.name(),
-        keyframes.len()
-    );
-    Ok(Done { outputs: outputs.into(), said: vec![said], ..Done::default() })
+    let summary = Summary::Featurized {
+        set: options.set.name().to_owned(),
+        n_features: table.names.len() as u64,
+        n_keyframes: keyframes.len() as u64,
+    };
+    Ok(Done { outputs: outputs.into(), summaries: vec![summary], ..Done::default() })
 }
 
 /// The features of all keyframes, and an even sample of their scans.

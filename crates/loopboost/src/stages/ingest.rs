@@ -1,22 +1,22 @@
-use std::path::Path;
-
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::write_scans;
 use dataset::tables::{Provenance, write_poses};
-use dataset::{Dropped, Loss, LossKind, Losses, Subject};
+use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject};
 use ingest::{IngestError, Log, Options, PoseOptions};
 
 use crate::config::{LogOptions, usage};
+use crate::findings::Findings;
 use crate::logs::{LogFile, file_name};
 use crate::run::{Done, Run, Task, missing_log, progress_bar};
 use crate::stage::Stage;
+use crate::summary::Summary;
 
 /// Logs -> scans/LOG.parquet, poses/LOG.parquet
 ///
-/// A log that cannot be ingested is named and left out, and the others are done, unless the run is
+/// A log that cannot be ingested is left out and counted as a loss. It is an error if the run is
 /// strict or no log is left.
-pub(crate) fn run(run: &Run) -> Result<Dropped> {
-    let mut dropped = Dropped::default();
+pub(crate) fn run(run: &Run) -> Result<Findings> {
+    let mut findings = Findings::default();
     let mut failed = Vec::new();
     let logs = run.logs()?;
     check_frames(run, logs)?;
@@ -27,7 +27,7 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
                 return Err(error);
             }
             if !run.is_dry() {
-                run.set_failed(&log.name, Some(error.to_string()))?;
+                run.set_failed(&log.name, Some(LOG_MISSING))?;
                 failed.push((error, log));
                 continue;
             }
@@ -37,14 +37,16 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
         match run.task(&task, |provenance| ingest_log(run, log, provenance)) {
             Ok(of_log) => {
                 run.set_failed(&log.name, None)?;
-                dropped.merge(of_log);
+                findings.merge(of_log);
             }
-            // Whatever else goes wrong, such as a full disk, goes wrong for the next log too.
-            Err(error) if error.is::<IngestError>() && !run.strict => {
-                run.set_failed(&log.name, Some(format!("{error:#}")))?;
-                failed.push((error, log));
-            }
-            Err(error) => return Err(error),
+            // Other errors, such as a full disk, would hit the next log too.
+            Err(error) => match error.downcast_ref::<IngestError>().filter(|_| !run.strict) {
+                Some(of_log) => {
+                    run.set_failed(&log.name, Some(of_log.code()))?;
+                    failed.push((error, log));
+                }
+                None => return Err(error),
+            },
         }
     }
     if failed.len() == logs.len() {
@@ -58,20 +60,26 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
         });
     }
     for (error, log) in failed {
-        dropped.add(format!("log left out of the run, `{}`: {error:#}", log.name), 1);
+        eprintln!("log `{}` left out of the run: {error:#}", log.name);
     }
-    Ok(dropped)
+    if !run.is_dry() {
+        findings.losses.merge(run.losses_of_failed_logs());
+    }
+    Ok(findings)
 }
 
-/// Refuses logs of one site whose poses are not in the site's map frame: revisits between them would
-/// be made up.
+/// The code of a log whose file does not exist.
+const LOG_MISSING: &str = "log_missing";
+
+/// Refuses logs of one site whose poses are not in the map frame of the site: revisits between them
+/// would be wrong.
 fn check_frames(run: &Run, logs: &[LogFile]) -> Result<()> {
     for log in logs {
         let own = run.config.for_log(&log.name)?;
         if own.pose.as_ref().is_some_and(PoseOptions::is_own_frame)
             && let Some(other) = sharer(run, &log.name, &own)?
         {
-            let why = "are fused from wheels and start in a frame of their own";
+            let why = "are fused from wheels and start in their own frame";
             return Err(own_frame(&log.name, why, &own, other, "start"));
         }
     }
@@ -80,12 +88,12 @@ fn check_frames(run: &Run, logs: &[LogFile]) -> Result<()> {
 
 fn own_frame(log: &str, why: &str, own: &LogOptions, other: &str, key: &str) -> anyhow::Error {
     usage(format!(
-        "poses of log `{log}` {why}, but its site `{}` is that of `{other}` too; give each such log its [ingest.log.{log}.pose.{key}], or take `site` away",
+        "poses of log `{log}` {why}, but log `{other}` has the same site `{}`; set [ingest.log.{log}.pose.{key}] for each of these logs, or remove `site`",
         own.site.as_deref().unwrap_or_default(),
     ))
 }
 
-/// Another log of the site of this one.
+/// Another log of the same site.
 fn sharer<'a>(run: &'a Run, name: &str, own: &LogOptions) -> Result<Option<&'a str>> {
     for other in run.logs()? {
         if *other.name != *name
@@ -119,29 +127,33 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
             return Err(own_frame(&file.name, why, &own, other, "origin"));
         }
         ingested.losses.merge(lost);
-        writer.set_dropped(ingested.losses.clone().into());
+        ingested.losses = std::mem::take(&mut ingested.losses).in_log(&file.name);
+        let split = (1 < logs.len()).then(|| NoteKind::SplitDrive {
+            files: logs.iter().map(|log| file_name(log.path())).collect(),
+        });
+        ingested.notes.extend(split.map(Note::from));
+        for note in &mut ingested.notes {
+            note.subject.log = Some(file.name.to_string());
+        }
+        writer.set_findings(ingested.losses.clone(), ingested.notes.clone());
         anyhow::Ok(ingested)
     })?;
     progress.finish_and_clear();
-    let dropped = Dropped::from(ingested.losses);
-    let provenance = Provenance { dropped: dropped.clone(), ..provenance };
+    let (losses, notes) = (ingested.losses, ingested.notes);
+    let provenance = Provenance { losses: losses.clone(), notes: notes.clone(), ..provenance };
     write_poses(&poses, &provenance, &file.name, &ingested.trajectory)?;
-    let n_poses = ingested.trajectory.poses().len();
-    let mut said = format!("{}: {} scans, {n_poses} poses", file.name, ingested.n_scans);
-    if let n_files @ 2.. = logs.len() {
-        let names: Vec<String> = logs.iter().map(|log| file_name(log.path())).collect();
-        said.push_str(&format!("; from {n_files} files of one drive: {}", names.join(", ")));
-    }
-    for note in &ingested.notes {
-        said.push_str(&format!("; {note}"));
-    }
-    Ok(Done { outputs: vec![scans, poses], dropped, said: vec![said] })
+    let summary = Summary::Ingested {
+        log: file.name.to_string(),
+        n_scans: ingested.n_scans as u64,
+        n_poses: ingested.trajectory.poses().len() as u64,
+    };
+    Ok(Done { outputs: vec![scans, poses], losses, notes, summaries: vec![summary] })
 }
 
 /// Opens the files of a drive. If at least one can be read, the others are counted as losses.
 pub(crate) fn open(file: &LogFile) -> Result<(Vec<Log>, Losses), IngestError> {
     let mut losses = Losses::default();
-    let subject = |path: &Path| Subject::file(path.display().to_string());
+    let subject = |path| Subject::file(file_name(path));
     for path in &file.missing {
         losses.add(Loss::new(LossKind::MissingDriveFile, subject(path)), 1);
     }

@@ -3,15 +3,16 @@ use std::io::BufWriter;
 use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
-use dataset::Dropped;
 use dataset::tables::{TableError, write_atomically};
 use simulate::{Campus, Map};
 
+use crate::findings::Findings;
 use crate::run::{Done, Run, Task, progress_bar};
 use crate::stage::{Artifact, Stage};
+use crate::summary::Summary;
 
 /// The campus of `[simulate]` -> logs/LOG.mcap
-pub(crate) fn run(run: &Run) -> Result<Dropped> {
+pub(crate) fn run(run: &Run) -> Result<Findings> {
     let options = run.config.simulate.as_ref().ok_or_else(|| {
         anyhow!("the pipeline has no [simulate] section: add one, or start with `ingest`")
     })?;
@@ -37,7 +38,7 @@ pub(crate) fn run(run: &Run) -> Result<Dropped> {
         progress.inc(1);
     }
     progress.finish_and_clear();
-    Ok(Dropped::default())
+    Ok(Findings::default())
 }
 
 fn drive(run: &Run, campus: &Campus, k: usize, name: &str) -> Result<Done> {
@@ -58,14 +59,15 @@ fn drive(run: &Run, campus: &Campus, k: usize, name: &str) -> Result<Done> {
         length_m += summary.length_m;
         duration_s += summary.duration_s;
     }
-    let files = match paths.len() {
-        1 => String::new(),
-        n => format!(" in {n} files"),
+    let summary = Summary::Simulated {
+        log: name.to_owned(),
+        length_m,
+        duration_s,
+        n_revolutions: revolutions as u64,
+        n_packets: packets as u64,
+        n_files: paths.len() as u64,
     };
-    let said = format!(
-        "{name}: {length_m:.0} m in {duration_s:.0} s, {revolutions} revolutions, {packets} packets{files}"
-    );
-    Ok(Done { outputs: paths, said: vec![said], ..Done::default() })
+    Ok(Done { outputs: paths, summaries: vec![summary], ..Done::default() })
 }
 
 /// What can go wrong while a log is written.

@@ -1,17 +1,18 @@
 use std::sync::Arc;
 
 use anyhow::Result;
-use dataset::Dropped;
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{Provenance, read_poses, write_keyframes};
 use subsample::Candidate;
 
+use crate::findings::Findings;
 use crate::logs::LogFile;
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage, sites};
+use crate::summary::Summary;
 
 /// Scans and poses -> keyframes.parquet
-pub(crate) fn run(run: &Run) -> Result<Dropped> {
+pub(crate) fn run(run: &Run) -> Result<Findings> {
     let logs = run.ingested_logs()?;
     run.task(&run.task_of(Stage::Subsample)?, |provenance| subsample(run, &logs, provenance))
 }
@@ -42,21 +43,16 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
             &candidates,
             &trajectory,
         )?;
-        done.said.push(format!(
-            "{}: {} keyframes along {:.0} m",
-            log.name,
-            of_log.len(),
-            of_log.last().map_or(0.0, |k| k.travel_m)
-        ));
+        done.summaries.push(Summary::Subsampled {
+            log: log.name.to_string(),
+            n_keyframes: of_log.len() as u64,
+            length_m: of_log.last().map_or(0.0, |k| k.travel_m),
+        });
         keyframes.extend(of_log);
-        done.dropped.merge(losses.into());
+        done.losses.merge(losses.in_log(&log.name));
     }
     let path = run.path_of(Artifact::Keyframes);
-    write_keyframes(
-        &path,
-        &Provenance { dropped: done.dropped.clone(), ..provenance },
-        &keyframes,
-    )?;
+    write_keyframes(&path, &Provenance { losses: done.losses.clone(), ..provenance }, &keyframes)?;
     done.outputs.push(path);
     Ok(done)
 }

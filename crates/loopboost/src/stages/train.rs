@@ -4,18 +4,20 @@ use dataset::tables::{
     FeatureTable, Provenance, read_feature_stability, read_features, read_keyframes, read_pairs,
     write_feature_usefulness, write_grid, write_retrieval, write_rounds, write_scores,
 };
-use dataset::{Dropped, Keyframe, Label, Pair, RangeLimits};
-use experiment::{CrossValidation, Data, ModelContext, Setup};
+use dataset::{Keyframe, Label, Note, Pair, RangeLimits};
+use experiment::{Data, ModelContext, NotEvaluated, Setup};
 use model::{FeatureSpec, Model, Training};
 
+use crate::findings::Findings;
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
+use crate::summary::{GroupingError, Summary};
 
 /// The tables that the models are trained on.
 const TRAINING_TABLES: [Artifact; 3] = [Artifact::Keyframes, Artifact::Pairs, Artifact::Features];
 
 /// Pairs, features -> models/, scores, rounds, retrieval, grid and feature_usefulness.parquet
-pub(crate) fn run(run: &Run) -> Result<Dropped> {
+pub(crate) fn run(run: &Run) -> Result<Findings> {
     run.task(&run.task_of(Stage::Train)?, |provenance| train(run, &provenance))
 }
 
@@ -48,7 +50,8 @@ fn train(run: &Run, provenance: &Provenance) -> Result<Done> {
     let context = model_context(run, &keyframes, &pairs, provenance)?;
     let models = experiment::models(&context, &fitted, &validation, differences.labels());
 
-    let of_scores = Provenance { dropped: not_evaluated(&validation), ..provenance.clone() };
+    let notes: Vec<Note> = validation.not_evaluated.iter().map(NotEvaluated::note).collect();
+    let of_scores = Provenance { notes: notes.clone(), ..provenance.clone() };
     let scores = validation.scores();
     write_scores(&run.path_of(Artifact::Scores), &of_scores, &keyframes, &pairs, &scores)?;
     write_rounds(&run.path_of(Artifact::Rounds), provenance, &rounds)?;
@@ -57,11 +60,10 @@ fn train(run: &Run, provenance: &Provenance) -> Result<Done> {
     write_feature_usefulness(&run.path_of(Artifact::FeatureUsefulness), provenance, &usefulness)?;
 
     let outputs = Stage::Train.spec().outputs.iter().map(|&artifact| run.path_of(artifact));
-    let said = validation.not_evaluated.iter().map(|grouping| format!("left out: {grouping}"));
-    let mut done = Done { outputs: outputs.collect(), said: said.collect(), ..Done::default() };
+    let mut done = Done { outputs: outputs.collect(), notes, ..Done::default() };
     for model in &models {
         let saved = model::save(&run.path("models"), model)?;
-        done.said.push(summary(model, &saved.version));
+        done.summaries.push(summary(model, &saved.version));
         done.outputs.extend(saved.files);
     }
     Ok(done)
@@ -87,15 +89,6 @@ fn check_features(
         ));
     }
     Ok(())
-}
-
-/// The groupings that could not be evaluated, by reason.
-fn not_evaluated(validation: &CrossValidation) -> Dropped {
-    let mut dropped = Dropped::default();
-    for grouping in &validation.not_evaluated {
-        dropped.add(grouping.to_string(), 1);
-    }
-    dropped
 }
 
 fn model_context(
@@ -138,16 +131,25 @@ fn training(run: &Run, pairs: &[Pair], provenance: &Provenance) -> Result<Traini
         digests.extend(of_scans.inputs);
     }
     let count = |label| pairs.iter().filter(|pair| pair.label == label).count();
-    Ok(Training { n_positive: count(Label::Positive), n_negative: count(Label::Negative), digests })
+    Ok(Training {
+        n_positive: count(Label::Positive),
+        n_negative: count(Label::Negative),
+        digests,
+        warnings: run.findings_before(Stage::Train)?.warnings(),
+    })
 }
 
-/// The errors of a model in one line.
-fn summary(model: &Model, version: &semver::Version) -> String {
-    let errors: Vec<String> = model
+/// The errors of a model.
+fn summary(model: &Model, version: &semver::Version) -> Summary {
+    let errors = model
         .measured
         .iter()
-        .map(|measured| format!("{:.1} % by {}", measured.error * 100.0, measured.grouping))
+        .map(|of| GroupingError { grouping: of.grouping.clone(), error: of.error })
         .collect();
-    let rounds = model.measured.first().map_or(0, |measured| measured.rounds);
-    format!("{} {version}: error {} at T = {rounds}", model.name, errors.join(", "))
+    Summary::Trained {
+        model: model.name.clone(),
+        version: version.to_string(),
+        rounds: u64::from(model.measured.first().map_or(0, |measured| measured.rounds)),
+        errors,
+    }
 }

@@ -51,6 +51,7 @@ pub fn model(learner: Learner) -> Model {
             n_positive: 1218,
             n_negative: 1219,
             digests: [("pairs".to_owned(), "00ff".to_owned())].into(),
+            warnings: [("duplicate_packets".to_owned(), 3)].into(),
         },
         measured: vec![Measured {
             grouping: "pair".into(),
