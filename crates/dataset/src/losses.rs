@@ -183,13 +183,13 @@ codes! {
             /// `wheel` or `imu`.
             sensor: String,
         } => "{sensor} sample{s} with NaN or infinite values";
-        /// A pose is asked for before the first wheel sample.
+        /// A pose is requested before the first wheel sample.
         Warning "stamps_before_wheels" StampsBeforeWheels
             => "requested stamp{s} before the first wheel sample";
-        /// A pose is asked for after the last wheel sample.
+        /// A pose is requested after the last wheel sample.
         Warning "stamps_after_wheels" StampsAfterWheels
             => "requested stamp{s} after the last wheel sample";
-        /// A pose is asked for twice.
+        /// A pose is requested twice for the same stamp.
         Warning "duplicate_requested_stamps" DuplicateRequestedStamps
             => "stamp{s} requested twice";
 
