@@ -1,6 +1,5 @@
 //! Errors of readers.
 
-use crate::hdl32e;
 use crate::source::{Encoding, MessageType};
 
 /// Why the bytes of a message or packet cannot be read.
@@ -71,7 +70,7 @@ pub enum MessageError {
         message: &'static str,
     },
     /// A packet has another length than an HDL-32E data packet.
-    #[error("packet has {found} bytes, expected {} (HDL-32E data packet)", hdl32e::PACKET_BYTES)]
+    #[error("packet has {found} bytes, expected 1206 (HDL-32E data packet)")]
     PacketLength {
         /// Number of bytes.
         found: usize,

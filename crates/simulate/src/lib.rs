@@ -39,6 +39,7 @@ mod campus;
 mod day;
 mod drive;
 mod error;
+mod limits;
 mod log;
 mod map;
 mod map_day;

@@ -3,7 +3,7 @@
 
 use dataset::Scan;
 
-use super::{Out, add_soft, ln_all, percentiles};
+use super::describe::{Out, add_soft, ln_all, percentiles};
 
 /// 90 deg in bins.
 const QUARTER: usize = 90;

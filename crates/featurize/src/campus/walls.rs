@@ -2,8 +2,8 @@
 //! chords along the walls. Walls are weighted by their length, not by the angle that they cover as
 //! seen from the sensor. The features therefore change little when the sensor moves to the side.
 
+use super::describe::{Out, add_soft, ln_all, shares};
 use super::signature::Signature;
-use super::{Out, add_soft, ln_all, shares};
 
 const GAPS_M: [f64; 7] = [0.6, 1.0, 1.6, 2.5, 4.0, 7.0, 15.0];
 const RUNS_M: [f64; 8] = [0.2, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0];
