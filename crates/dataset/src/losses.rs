@@ -223,9 +223,9 @@ codes! {
         Info "row_without_line_end" RowWithoutLineEnd => "last row{s} without a line break";
         /// A row of a satellite receiver has no fix.
         Info "rows_without_fix" RowsWithoutFix => "row{s} without a satellite fix";
-        /// A row has no predecessor to take a difference with.
+        /// A row has no recent earlier row, and no rate can be computed.
         Info "rows_without_predecessor" RowsWithoutPredecessor
-            => "row{s} without another row shortly before";
+            => "row{s} without a recent earlier row (needed to compute a rate)";
         /// A file is not needed, because another one contains the same data.
         Info "superseded_file" SupersededFile {
             /// The file used instead.

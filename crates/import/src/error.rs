@@ -71,7 +71,7 @@ pub enum ImportError {
         addresses: String,
     },
     /// Nothing in the recording could be used.
-    #[error("no message to write from {inputs}: found {found}; expected {expected}")]
+    #[error("{inputs}: nothing to import: found {found}, expected {expected}")]
     Empty {
         /// The names of the files.
         inputs: String,

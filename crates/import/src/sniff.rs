@@ -47,12 +47,15 @@ fn sniff_head(path: &Path, head: &[u8]) -> Result<Format, String> {
         return Ok(Format::Nclt);
     }
     let not_importable: [(&[u8], &str); 6] = [
-        (b"\x89MCAP", "an MCAP file, which needs no import"),
-        (b"#ROSBAG", "a ROS 1 bag; convert it with `mcap convert`"),
-        (b"SQLite format 3", "an SQLite file, perhaps a ROS 2 bag; convert it with `mcap convert`"),
-        (b"\x1F\x8B", "gzip data; unpack it first"),
-        (b"PK\x03\x04", "a zip archive; unpack it first"),
-        (b"\x28\xB5\x2F\xFD", "Zstandard data; unpack it first"),
+        (b"\x89MCAP", "an MCAP file (it needs no import)"),
+        (b"#ROSBAG", "a ROS 1 bag (convert it with `mcap convert`)"),
+        (
+            b"SQLite format 3",
+            "an SQLite file, perhaps a ROS 2 bag (convert it with `mcap convert`)",
+        ),
+        (b"\x1F\x8B", "gzip data (unpack it first)"),
+        (b"PK\x03\x04", "a zip archive (unpack it first)"),
+        (b"\x28\xB5\x2F\xFD", "Zstandard data (unpack it first)"),
     ];
     if let Some((_, found)) = not_importable.iter().find(|(magic, _)| head.starts_with(magic)) {
         return Err((*found).to_owned());

@@ -96,10 +96,17 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     Ok(findings)
 }
 
-/// The drive in a file or folder. It is an error if there are several.
+/// The drive in a file or folder. It is an error if there are none or several.
 fn drive(path: &Path) -> Result<LogFile> {
-    let mut drives = logs::find(Path::new(""), &path.to_string_lossy())?;
+    let mut drives = match path.is_dir() {
+        true => logs::in_folder(path, 0)?,
+        false => logs::find(Path::new(""), &path.to_string_lossy())?,
+    };
     match drives.len() {
+        0 => Err(anyhow!(
+            "{} contains no *.mcap file; expected an MCAP file or a folder with the files of one drive",
+            path.display()
+        )),
         1 => Ok(drives.remove(0)),
         n => Err(anyhow!(
             "{} contains {n} drives, expected one; choose one of: {}",
@@ -123,7 +130,7 @@ fn print(path: &Path, drive: &LogFile, survey: &Survey) {
     for topic in &survey.topics {
         let rate = topic.rate_hz.map_or(String::new(), |hz| format!(", {hz:.2} Hz"));
         out!("\n{}  {}", topic.topic, kind(topic));
-        out!("  {} messages{rate}", topic.n_messages);
+        out!("  {}{rate}", counted(topic.n_messages, "message"));
         match &topic.content {
             Content::Packets(packets) => print_packets(packets),
             Content::Scans(scans) => {
@@ -154,7 +161,7 @@ fn print(path: &Path, drive: &LogFile, survey: &Survey) {
             }
             Content::Transforms(transforms) => {
                 for of in transforms {
-                    out!("  {} -> {}, {} samples", of.parent, of.child, of.n_samples);
+                    out!("  {} -> {}, {}", of.parent, of.child, counted(of.n_samples, "sample"));
                 }
             }
             Content::Other => {}
@@ -211,6 +218,11 @@ fn print_packets(packets: &PacketsSurvey) {
     if packets.is_stamped_by_message() {
         out!("  all packets of a message have the same stamp; use the device clock");
     }
+}
+
+/// A count with its noun, in the plural unless the count is 1.
+fn counted(n: u64, noun: &str) -> String {
+    if n == 1 { format!("{n} {noun}") } else { format!("{n} {noun}s") }
 }
 
 fn kind(topic: &TopicSurvey) -> String {

@@ -77,7 +77,7 @@ pub(crate) fn find(folder: &Path, entry: &str) -> Result<Vec<LogFile>> {
 }
 
 /// The logs of a folder and its subfolders. Names that start with a dot are ignored.
-fn in_folder(folder: &Path, depth: usize) -> Result<Vec<LogFile>> {
+pub(crate) fn in_folder(folder: &Path, depth: usize) -> Result<Vec<LogFile>> {
     let failed = || format!("`ingest.logs`: cannot list the folder {}", folder.display());
     if MAX_DEPTH < depth {
         return Err(anyhow!("more than {MAX_DEPTH} nested folders: {}", folder.display()))

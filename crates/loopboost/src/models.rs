@@ -67,7 +67,7 @@ pub(crate) fn verify(path: &Path) -> Result<()> {
     }
     match n_invalid {
         0 => Ok(()),
-        n => Err(anyhow!("{n} of {} models are invalid", files.len())),
+        n => Err(anyhow!("invalid models: {n} of {}", files.len())),
     }
 }
 
