@@ -1,4 +1,4 @@
-//! The nouns that flow between the stages: [`Scan`], [`Pose2`], [`Keyframe`], [`Pair`].
+//! The types that pass between the stages: [`Scan`], [`Pose2`], [`Keyframe`], [`Pair`].
 //!
 //! With the default feature `parquet`, [`tables`] reads and writes them. Without it this crate is
 //! small enough for a robot: no Arrow, no Parquet.

@@ -67,7 +67,7 @@ fn keyframes() -> Vec<Keyframe> {
 }
 
 #[test]
-fn scans_survive_and_can_be_picked() {
+fn scans_are_read_as_written_and_can_be_selected() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scans/drive.parquet");
     for n in [0, 1, 300, 1000] {
@@ -176,7 +176,7 @@ fn tables_keep_their_rows_and_provenance() {
 }
 
 #[test]
-fn evidence_survives() {
+fn scores_are_read_as_written() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let pair = |query, label| Pair {
@@ -198,7 +198,12 @@ fn evidence_survives() {
     }];
     write_scores(&at("scores"), &provenance(), &keyframes(), &pairs, &scores).unwrap();
     assert_eq!(read_scores(&at("scores"), &pairs).unwrap(), (scores, provenance()));
+}
 
+#[test]
+fn rounds_are_read_as_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
     let round = |held_out, node| BoostingRound {
         learner: "discrete".into(),
         held_out,
@@ -212,7 +217,12 @@ fn evidence_survives() {
     let rounds = vec![round(None, None), round(Some(held_out), Some(2))];
     write_rounds(&at("rounds"), &provenance(), &rounds).unwrap();
     assert_eq!(read_rounds(&at("rounds")).unwrap(), (rounds, provenance()));
+}
 
+#[test]
+fn retrieval_is_read_as_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
     let found = Retrieval {
         learner: "discrete".into(),
         grouping: "place".into(),
@@ -245,7 +255,12 @@ fn evidence_survives() {
     let rows = vec![found, none];
     write_retrieval(&at("retrieval"), &provenance(), &rows).unwrap();
     assert_eq!(read_retrieval(&at("retrieval")).unwrap(), (rows, provenance()));
+}
 
+#[test]
+fn the_label_grid_is_read_as_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
     let cell = |error| GridCell {
         learner: "knn".into(),
         grouping: "scan".into(),
@@ -257,7 +272,12 @@ fn evidence_survives() {
     let cells = vec![cell(Ok(0.125)), cell(Err("3 of 9 positive pairs".into()))];
     write_grid(&at("grid"), &provenance(), &cells).unwrap();
     assert_eq!(read_grid(&at("grid")).unwrap(), (cells, provenance()));
+}
 
+#[test]
+fn stability_and_usefulness_of_features_are_read_as_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
     let names = ["size", "distance"].map(str::to_owned);
     let stability = vec![0.5, f64::INFINITY];
     write_feature_stability(&at("stability"), &provenance(), &names, &stability).unwrap();

@@ -1,6 +1,6 @@
 //! Suggests a pipeline for a log.
 
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -115,6 +115,13 @@ impl<'a> Suggestion<'a> {
             None => found(log)?,
         };
         let mut text = format!("[ingest]\nlogs = [{:?}]\n", log.display().to_string());
+        self.write_poses(&mut text)?;
+        write_lidar(&mut text, lidar)?;
+        Ok(text)
+    }
+
+    /// Writes the options of the poses.
+    fn write_poses(&self, text: &mut String) -> fmt::Result {
         match (self.pose, self.wheels) {
             (Some(pose), _) => writeln!(text, "pose.topic = {:?}", pose.topic)?,
             (None, Some((wheels, imu))) => {
@@ -141,45 +148,50 @@ impl<'a> Suggestion<'a> {
                 )?,
             },
         }
-        writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;
-        match &lidar.content {
-            Content::Packets(packets) => {
-                if packets.is_stamped_by_message() {
-                    writeln!(
-                        text,
-                        "clock = \"device\"   # all packets of a message have the same stamp"
-                    )?;
-                }
-                if let Some(laser) = packets.stand_in() {
-                    writeln!(
-                        text,
-                        "laser = {laser}   # the horizontal laser, {HORIZONTAL_LASER}, has no returns"
-                    )?;
-                }
-            }
-            Content::Clouds(clouds) => {
-                let nearest = clouds.rings.iter().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
-                if let Some((ring, deg)) = nearest {
-                    writeln!(text, "ring = {ring}   # elevation {deg:.2} deg")?;
-                }
-            }
-            Content::Scans(scans) => {
-                let (near, far) = scans.range_m;
-                writeln!(text, "range_min_m = {:?}", near.max(0.0))?;
-                if near < far && far.is_finite() {
-                    writeln!(text, "range_max_m = {far:?}")?;
-                }
-                if scans.coverage_deg < f64::from(FULL_RING_DEG) {
-                    writeln!(
-                        text,
-                        "\n[label]\npositive_heading_deg = 45.0   # the scanner covers less than a full circle"
-                    )?;
-                }
-            }
-            _ => {}
-        }
-        Ok(text)
+        Ok(())
     }
+}
+
+/// Writes the options of the lidar, and those of the labels that depend on it.
+fn write_lidar(text: &mut String, lidar: &TopicSurvey) -> fmt::Result {
+    writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;
+    match &lidar.content {
+        Content::Packets(packets) => {
+            if packets.is_stamped_by_message() {
+                writeln!(
+                    text,
+                    "clock = \"device\"   # all packets of a message have the same stamp"
+                )?;
+            }
+            if let Some(laser) = packets.stand_in() {
+                writeln!(
+                    text,
+                    "laser = {laser}   # the horizontal laser, {HORIZONTAL_LASER}, has no returns"
+                )?;
+            }
+        }
+        Content::Clouds(clouds) => {
+            let nearest = clouds.rings.iter().min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()));
+            if let Some((ring, deg)) = nearest {
+                writeln!(text, "ring = {ring}   # elevation {deg:.2} deg")?;
+            }
+        }
+        Content::Scans(scans) => {
+            let (near, far) = scans.range_m;
+            writeln!(text, "range_min_m = {:?}", near.max(0.0))?;
+            if near < far && far.is_finite() {
+                writeln!(text, "range_max_m = {far:?}")?;
+            }
+            if scans.coverage_deg < f64::from(FULL_RING_DEG) {
+                writeln!(
+                    text,
+                    "\n[label]\npositive_heading_deg = 45.0   # the scanner covers less than a full circle"
+                )?;
+            }
+        }
+        _ => {}
+    }
+    Ok(())
 }
 
 /// Two frames that are connected by transforms.

@@ -13,7 +13,7 @@ use arrow_array::{
 use arrow_schema::{DataType, Field};
 
 use super::columns::Columns;
-use super::nouns::{batch, floats, strings};
+use super::types::{batch, floats, strings};
 use super::{Provenance, Result, TableError, read_table, write_table};
 use crate::{GridCell, Retrieval, RetrievalPoint};
 

@@ -22,10 +22,10 @@
 mod columns;
 mod evidence;
 mod file;
-mod nouns;
 mod provenance;
 pub mod scans;
 mod scores;
+mod types;
 mod usefulness;
 
 use std::path::{Path, PathBuf};
@@ -36,12 +36,12 @@ pub use evidence::{
 pub use file::{
     digest_file, is_partial, read_provenance, read_table, write_atomically, write_file, write_table,
 };
-pub use nouns::{
+pub use provenance::{FORMAT_VERSION, Provenance};
+pub use scores::{read_rounds, read_scores, write_rounds, write_scores};
+pub use types::{
     FeatureTable, batch, floats, read_features, read_keyframes, read_pairs, read_poses, strings,
     write_features, write_keyframes, write_pairs, write_poses,
 };
-pub use provenance::{FORMAT_VERSION, Provenance};
-pub use scores::{read_rounds, read_scores, write_rounds, write_scores};
 pub use usefulness::{
     feature_usefulness_batch, read_feature_stability, read_feature_usefulness,
     write_feature_stability, write_feature_usefulness,

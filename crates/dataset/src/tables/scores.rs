@@ -11,7 +11,7 @@ use arrow_array::{Array, ArrayRef, Float64Array, Int8Array, StringArray, UInt32A
 use arrow_schema::{DataType, Field};
 
 use super::columns::Columns;
-use super::nouns::{batch, strings};
+use super::types::{batch, strings};
 use super::{Provenance, Result, TableError, read_table, write_table};
 use crate::{BoostingRound, HeldOut, Keyframe, Pair, Scores};
 

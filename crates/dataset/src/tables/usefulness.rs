@@ -8,7 +8,7 @@ use arrow_array::types::{Float64Type, UInt64Type};
 use arrow_array::{ArrayRef, RecordBatch, UInt64Array};
 
 use super::columns::Columns;
-use super::nouns::{batch, floats, strings};
+use super::types::{batch, floats, strings};
 use super::{Provenance, Result, read_table, write_table};
 use crate::FeatureUsefulness;
 
