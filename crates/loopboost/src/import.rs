@@ -18,7 +18,7 @@ use crate::run::progress_bar;
 pub(crate) struct ImportArgs {
     /// The files of one recording: Velodyne captures (pcap, pcapng), an NCLT folder or its files, or
     /// CARMEN logs
-    #[arg(required = true)]
+    #[arg(required = true, value_name = "RECORDING")]
     inputs: Vec<PathBuf>,
     /// Log to write; must not exist
     #[arg(long, value_name = "LOG.mcap")]
@@ -26,13 +26,13 @@ pub(crate) struct ImportArgs {
     /// Compression of the chunks
     #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
     compression: CompressionArg,
-    /// Captures: UDP port of the data packets
+    /// UDP port of the data packets (captures only)
     #[arg(long, default_value_t = Options::default().udp_port)]
     udp_port: u16,
-    /// Captures: UDP port of the position packets
+    /// UDP port of the position packets (captures only)
     #[arg(long, default_value_t = Options::default().position_port)]
     position_port: u16,
-    /// Captures: IP address of the sensor, required if there are several
+    /// IP address of the sensor (captures only; required if a capture contains several sensors)
     #[arg(long, value_name = "ADDRESS")]
     source_ip: Option<IpAddr>,
     /// Print the result as JSON
@@ -90,7 +90,7 @@ impl ImportArgs {
 
 fn print(path: &Path, imported: &Imported) {
     let seconds = (imported.end_ns - imported.start_ns) as f64 * 1e-9;
-    out!("{}: {}, {seconds:.1} s", path.display(), imported.format);
+    out!("{}: {seconds:.1} s, imported from {}", path.display(), imported.format);
     for topic in &imported.topics {
         out!("  {:<24} {} ({} messages)", topic.topic, topic.message_type, topic.n_messages);
     }
