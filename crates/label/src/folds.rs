@@ -97,7 +97,7 @@ pub fn assign_folds(
     if !(place_m.is_finite() && 0.0 < place_m) {
         return Err(OutOfRange::new("evaluate.place_m", place_m, "more than 0").into());
     }
-    // Use other keys than the draw of the pairs did: it kept the pairs with the smallest keys.
+    // The draw of the pairs kept those with the smallest keys, so the folds need other keys.
     let seed = seed ^ 0xF01D_5EED;
     let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
     let keys: Vec<u64> =
