@@ -234,7 +234,12 @@ fn baselines_have_no_model() {
         program_version: "0.1.0".to_owned(),
         seed: 7,
         scans: experiment::scan_spec(&road.keyframes, &limits),
-        training: Training { n_positive: 60, n_negative: 60, digests: [].into() },
+        training: Training {
+            n_positive: 60,
+            n_negative: 60,
+            digests: [].into(),
+            warnings: [].into(),
+        },
         label_options: serde_json::Value::Null,
         features: FeatureSpec {
             set: "made".to_owned(),
