@@ -1,10 +1,10 @@
-//! The data behind the numbers: what was left out, inputs and options.
+//! The data behind the numbers: losses, notes, inputs and options.
 
 use std::collections::BTreeMap;
 
 use maud::{Markup, html};
 
-use super::Fact;
+use super::{Fact, messages};
 use crate::Input;
 
 pub(super) fn section(input: &Input<'_>, facts: &[Fact]) -> Markup {
@@ -15,16 +15,8 @@ pub(super) fn section(input: &Input<'_>, facts: &[Fact]) -> Markup {
     html! {
         section {
             h2 { "Data and options" }
-            @if input.losses.is_empty() {
-                p { "Nothing was left out." }
-            } @else {
-                h3 { "Left out" }
-                ul { @for (loss, n) in input.losses.iter() { li { (loss.sentence(n)) " " code { (loss.kind.code()) } } } }
-            }
-            @if !input.notes.is_empty() {
-                h3 { "Notes" }
-                ul { @for note in input.notes { li { (note) " " code { (note.code()) } } } }
-            }
+            (messages::tables(input.losses, input.not_evaluated.iter().chain(input.notes)))
+            h3 { "Inputs and options" }
             div class="scroll" {
                 table class="facts" {
                     tbody {

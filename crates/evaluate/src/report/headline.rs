@@ -1,8 +1,9 @@
 //! The first screen: the best result, and the errors of all learners.
 
-use dataset::{Label, Severity};
+use dataset::Label;
 use maud::{Markup, html};
 
+use super::messages;
 use crate::bootstrap::{Estimate, Summary};
 use crate::text::{
     NO_VALUE, PAPER_ERROR_BELOW, PAPER_ROUNDS, distinct, grouping_meaning, learner_name, percent,
@@ -13,7 +14,7 @@ pub(super) fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
     let count = |label| input.pairs.iter().filter(|pair| pair.label == label).count();
     let logs = distinct(input.keyframes.iter().map(|k| &*k.id.log));
     html! {
-        (warnings(input))
+        (messages::warnings(input.losses, input.not_evaluated.iter().chain(input.notes)))
         @if let Some(best) = evaluation.best_boosted(input) {
             (best_result(best, evaluation.best_baseline(input)))
         }
@@ -26,33 +27,6 @@ pub(super) fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
         }
         (errors(input, evaluation))
         p class="note" { "The paper is " i { "Learning Loop Closures by Boosting" } ". This report shows the same figures and tables." }
-    }
-}
-
-/// Everything that needs attention. Nothing if there is nothing.
-fn warnings(input: &Input<'_>) -> Markup {
-    let losses = input
-        .losses
-        .iter()
-        .filter(|(loss, _)| Severity::Warning <= loss.kind.severity())
-        .map(|(loss, n)| (loss.sentence(n), loss.kind.code()));
-    let notes = input
-        .not_evaluated
-        .iter()
-        .chain(input.notes)
-        .filter(|note| Severity::Warning <= note.severity())
-        .map(|note| (note.to_string(), note.code()));
-    let warnings: Vec<(String, &str)> = losses.chain(notes).collect();
-    html! {
-        @if !warnings.is_empty() {
-            div class="warnings" {
-                p {
-                    @match warnings.len() { 1 => { "This run has 1 warning." } n => { "This run has " (n) " warnings." } }
-                    " docs/messages.md explains each code."
-                }
-                ul { @for (sentence, code) in &warnings { li { (sentence) " " code { (code) } } } }
-            }
-        }
     }
 }
 

@@ -5,6 +5,7 @@ mod data;
 mod features;
 mod headline;
 mod label_grid;
+mod messages;
 mod retrieval;
 mod scans;
 
