@@ -1,5 +1,7 @@
 //! Experiments on two drives along one straight road, with features made in code.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 use dataset::tables::FeatureTable;
 use dataset::{Keyframe, Label, Pair, Pose2, RangeLimits, ScanId, SplitMix64};
 use experiment::{

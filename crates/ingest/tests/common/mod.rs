@@ -1,5 +1,6 @@
 //! Makes logs in memory with the `mcap` crate, and ingests them.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
 #![allow(dead_code, reason = "each test file uses only some of this")]
 
 use std::borrow::Cow;

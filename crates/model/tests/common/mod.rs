@@ -1,5 +1,7 @@
 //! A model for the tests.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 use model::{
     Classifier, FeatureSpec, Learner, Measured, Model, Node, OperatingPoint, ScanSpec, Training,
     Tree, WeakLearner,
