@@ -97,7 +97,7 @@ fn the_files_of_a_split_drive_become_one_log() {
     let workplace = simulated();
     let whole = workplace.path("out/logs/one.mcap");
     fs::create_dir_all(workplace.path("logs/monday")).unwrap();
-    // The order of the names differs from the order in time, which decides.
+    // The files are sorted by time, not by name.
     for (name, part) in ["c", "a", "b"].into_iter().zip(split(&whole, 3)) {
         fs::write(workplace.path(&format!("logs/monday/{name}.mcap")), part).unwrap();
     }

@@ -11,7 +11,7 @@ use messages::ros::{self, Encoding, LaserScan, StampedPose3};
 
 use crate::support::{Workplace, loopboost};
 
-/// A small log: `n` planar scans on `/scan` and as many poses on `/pose`, half a metre apart.
+/// A small log: `n` planar scans on `/scan` and `n` poses on `/pose`, half a metre apart.
 fn log(n: i64) -> Vec<u8> {
     let mut writer =
         mcap::WriteOptions::new().chunk_size(Some(4000)).create(Cursor::new(Vec::new())).unwrap();

@@ -1,4 +1,4 @@
-//! Whole-program tests: one binary, wired from `crates/loopboost`.
+//! Whole-program tests: one test binary of `crates/loopboost`.
 
 #![allow(
     clippy::unwrap_used,
