@@ -212,10 +212,10 @@ impl Frames {
 
 impl Origin {
     fn check(&self) -> Result<(), PoseOptionError> {
-        if !(self.latitude_deg.abs() <= 90.0) {
+        if !(-90.0..=90.0).contains(&self.latitude_deg) {
             return out_of_range("origin.latitude_deg", self.latitude_deg, "-90 to 90");
         }
-        if !(self.longitude_deg.abs() <= 360.0) {
+        if !(-360.0..=360.0).contains(&self.longitude_deg) {
             return out_of_range("origin.longitude_deg", self.longitude_deg, "-360 to 360");
         }
         match self.altitude_m.is_finite() {

@@ -142,11 +142,9 @@ impl Found {
             MessageType::LaserScan | MessageType::FoxgloveLaserScan => {
                 self.add_scan(source, data).map_err(undecodable)?;
             }
-            MessageType::PointCloud2 | MessageType::FoxglovePointCloud => {
-                // One cloud per piece is enough to find the rings.
-                if self.n_messages == 1 {
-                    self.rings.add(source, data).map_err(undecodable)?;
-                }
+            // One cloud per piece is enough to find the rings.
+            MessageType::PointCloud2 | MessageType::FoxglovePointCloud if self.n_messages == 1 => {
+                self.rings.add(source, data).map_err(undecodable)?;
             }
             MessageType::Tf | MessageType::FoxgloveFrameTransform => {
                 for transform in read_transforms(source, data).map_err(undecodable)? {
