@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use dataset::{Pose2, StampedPose, wrap_angle};
 
-use crate::WheelSample;
+use crate::samples::WheelSample;
 
 /// Between wheel samples farther apart than this the motion is unknown \[ns\].
 const MAX_GAP_NS: i64 = 1_000_000_000;
