@@ -83,6 +83,9 @@ pose.topic = "/pose"
 
 [label]
 pairs_per_class = 100
+
+[evaluate]
+groupings = ["pair"]
 "#;
 
 fn workplace(pipeline: &str) -> Workplace {
@@ -153,7 +156,7 @@ fn poses_in_a_frame_of_their_own_cannot_share_a_site() {
     workplace(pipeline)
         .command("ingest", "out", &[])
         .expect(2)
-        .says(&["start in a frame of their own", "[ingest.log.a.pose.start]"]);
+        .says(&["start in their own frame", "[ingest.log.a.pose.start]"]);
     workplace(&pipeline.replace(", track_m = 0.5", ""))
         .command("ingest", "out", &[])
         .expect(2)
@@ -182,8 +185,10 @@ fn a_truncated_log_keeps_its_complete_messages_and_exits_with_3() {
         "more than 99 scans:\n{}",
         finished.stdout
     );
-    finished
-        .says(&["warning: some data could not be used", "1 end of the file cut off (no footer"]);
+    finished.says(&[
+        "warning[truncated_file]: 1 end of the file cut off (no footer",
+        "done with 1 warning",
+    ]);
     // The report contains the same warning.
     let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
     assert!(report.contains("1 end of the file cut off"));

@@ -25,6 +25,9 @@ pairs_per_class = 60
 
 [train]
 rounds = 10
+
+[evaluate]
+groupings = ["pair", "scan"]
 "#;
 
 /// The tasks that a run executed, from the first words of its lines. Lines of other tasks end in

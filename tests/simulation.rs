@@ -79,7 +79,7 @@ fn the_files_of_a_split_log_are_read_as_one_drive() {
     let files = ["--set", "simulate.files=3"];
     workplace.command("simulate", "split", &files).expect(0);
     let finished = workplace.command("ingest", "split", &files).expect(0);
-    assert!(finished.stdout.contains("from 3 files"), "{}", finished.stdout);
+    finished.says(&["read from 3 files of one drive"]);
     workplace.command("simulate", "whole", &[]).expect(0);
     workplace.command("ingest", "whole", &[]).expect(0);
     let scans = |out: &str, log: &str| {

@@ -76,9 +76,9 @@ fn skipped_length(rest: &str) -> usize {
             return until(&format!("\"{}", "#".repeat(hashes)), hashes + 2);
         }
     }
-    if rest.starts_with('"') {
+    if let Some(inner) = rest.strip_prefix('"') {
         let mut is_escaped = false;
-        let end = rest[1..].find(|c| {
+        let end = inner.find(|c| {
             let is_end = c == '"' && !is_escaped;
             is_escaped = c == '\\' && !is_escaped;
             is_end

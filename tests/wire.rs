@@ -186,7 +186,7 @@ impl Protobuf {
         self.tag(field, 2).plain_varint(bytes.len() as u64).raw(bytes)
     }
 
-    pub fn message(self, field: u8, message: Self) -> Self {
+    pub fn message(self, field: u8, message: &Self) -> Self {
         self.bytes(field, &message.bytes)
     }
 
@@ -194,7 +194,7 @@ impl Protobuf {
     pub fn foxglove(stamp_ns: i64) -> Self {
         let (seconds, nanos) = (stamp_ns as u64 / 1_000_000_000, stamp_ns as u64 % 1_000_000_000);
         let timestamp = Self::default().varint(1, seconds).varint(2, nanos);
-        Self::default().message(1, timestamp).bytes(2, b"a frame")
+        Self::default().message(1, &timestamp).bytes(2, b"a frame")
     }
 
     /// `foxglove.Pose`
@@ -203,7 +203,7 @@ impl Protobuf {
             let fields = values.iter().zip(1..);
             fields.fold(Self::default(), |message, (&value, field)| message.double(field, value))
         };
-        Self::default().message(1, numbers(&position)).message(2, numbers(&orientation))
+        Self::default().message(1, &numbers(&position)).message(2, &numbers(&orientation))
     }
 }
 

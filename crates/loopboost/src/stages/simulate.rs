@@ -63,8 +63,8 @@ fn drive(run: &Run, campus: &Campus, k: usize, name: &str) -> Result<Done> {
         log: name.to_owned(),
         length_m,
         duration_s,
-        n_revolutions: revolutions as u64,
-        n_packets: packets as u64,
+        n_revolutions: revolutions,
+        n_packets: packets,
         n_files: paths.len() as u64,
     };
     Ok(Done { outputs: paths, summaries: vec![summary], ..Done::default() })
