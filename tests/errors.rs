@@ -186,12 +186,12 @@ fn a_truncated_log_keeps_its_complete_messages_and_exits_with_3() {
         finished.stdout
     );
     finished.says(&[
-        "warning[truncated_file]: 1 end of the file cut off (no footer",
+        "warning[truncated_file]: 1 file cut off at the end (no footer",
         "done with 1 warning",
     ]);
     // The report contains the same warning.
     let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
-    assert!(report.contains("1 end of the file cut off"));
+    assert!(report.contains("1 file cut off at the end"));
 }
 
 #[test]

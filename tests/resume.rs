@@ -155,7 +155,7 @@ fn a_run_without_changes_repeats_the_losses() {
     let files = format!("[ingest]\nlogs = [\"there.mcap\", \"back.mcap\"]{rest}");
     fs::write(workplace.path("drive.toml"), files).unwrap();
     for _ in 0..2 {
-        workplace.command("run", "cut", &[]).expect(3).says(&["1 end of the file cut off"]);
+        workplace.command("run", "cut", &[]).expect(3).says(&["1 file cut off at the end"]);
     }
 }
 

@@ -17,7 +17,7 @@ codes! {
 
         /// The file ends without a footer.
         Warning "truncated_file" TruncatedFile
-            => "end{s} of the file cut off (no footer: the recorder stopped early or the copy is incomplete)";
+            => "file{s} cut off at the end (no footer: the recorder stopped early or the copy is incomplete)";
         /// The summary section is damaged.
         Warning "damaged_summary" DamagedSummary
             => "damaged summary section{s} (the file was read without its index)";

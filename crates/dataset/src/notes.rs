@@ -79,7 +79,12 @@ codes! {
             n_scans: u64,
             /// That angle \[deg\].
             min_hole_deg: f64,
-        } => "{n_packets} packets missing; {n_scans} scans have an angle of more than {min_hole_deg} deg without packets (column `hole_deg`)";
+        } => "{n_packets} packets missing{}", match n_scans {
+            0 => String::new(),
+            n => format!(
+                "; {n} scans have an angle of more than {min_hole_deg} deg without packets (column `hole_deg`)"
+            ),
+        };
         /// The device clock jumps and the stamps do not.
         Info "device_clock_jumps" DeviceClockJumps {
             /// Jumps.

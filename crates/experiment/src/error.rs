@@ -19,7 +19,7 @@ pub enum ExperimentError {
     #[error(transparent)]
     Label(#[from] LabelError),
     /// A learner cannot be fitted to the training pairs of a fold.
-    #[error("grouping `{}`", grouping.name())]
+    #[error("cannot evaluate grouping `{}`", grouping.name())]
     Fold {
         /// The grouping.
         grouping: Grouping,

@@ -140,9 +140,9 @@ pub enum IngestError {
         /// The beams that exist.
         available: String,
     },
-    /// The options use the device clock, but it stands still.
+    /// The options use the device clock, but it does not advance.
     #[error(
-        "{path}: the device clock in the packets of topic `{topic}` stands still and gives no time; set `ingest.lidar.clock` to \"host\""
+        "{path}: the device clock in the packets of topic `{topic}` does not advance; set `ingest.lidar.clock` to \"host\""
     )]
     StillClock {
         /// The log.

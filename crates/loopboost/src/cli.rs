@@ -45,11 +45,11 @@ enum Command {
     },
     #[command(flatten)]
     Stage(StageCommand),
-    /// Show what a log contains, what is wrong with it, and suggest a pipeline file
+    /// Describe a log, report problems in it, and suggest a pipeline file
     Inspect(InspectArgs),
     /// Convert a recording of another format to an MCAP log
     Import(ImportArgs),
-    /// Show what an artifact was made from, back to the logs
+    /// Show the inputs of an artifact, back to the logs
     Lineage {
         /// A table, a model.json or a report.html
         artifact: PathBuf,
@@ -60,8 +60,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         _rest: Vec<String>,
     },
-    /// Check every digest of a run folder: files that changed, are missing, or are newer than what
-    /// was made from them
+    /// Check a run folder for files that changed, are missing, or are newer than their outputs
     Verify {
         /// A run folder
         folder: PathBuf,

@@ -81,5 +81,5 @@ fn main() -> ExitCode {
 fn hint(error: &anyhow::Error) -> Option<String> {
     let error = error.chain().find_map(|cause| cause.downcast_ref::<TableError>())?;
     let stage = Artifact::maker_of_path(error.path())?;
-    error.is_cured_by_making_it_again().then(|| format!("make it with `{}`", stage.command()))
+    error.is_cured_by_making_it_again().then(|| format!("create it with `{}`", stage.command()))
 }

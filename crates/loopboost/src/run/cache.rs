@@ -71,7 +71,7 @@ impl Run {
         }
         if !stale.is_empty() {
             return Err(anyhow!(
-                "{} was not made with this pipeline: {}; run `{}` again, or `loopboost run`, which repeats every stage that needs it",
+                "{} was not made with this pipeline: {}; run `{}` again, or `loopboost run`, which repeats all outdated stages",
                 path.display(),
                 stale.join(", "),
                 stage.command()

@@ -175,7 +175,7 @@ impl Run {
         for log in &logs {
             if !seen.insert(&log.name) {
                 return Err(anyhow!(
-                    "two logs are named `{}`, the second is {}; a log is named by its file stem (or by its folder, where a drive was split), which must be unique in a run: rename one",
+                    "two logs are named `{}`, the second is {}; the name is the file stem (for a split drive, the folder) and must be unique in a run: rename one",
                     log.name,
                     log.paths[0].display()
                 ));
@@ -183,7 +183,7 @@ impl Run {
         }
         if self.config.evaluate.groupings.contains(&label::Grouping::Log) && logs.len() < 2 {
             return Err(usage(
-                "`evaluate.groupings` has `log`, which holds a log out, but there is 1 log: add logs, or leave `log` out",
+                "`evaluate.groupings` contains `log`, which needs 2 logs or more, but the run has 1: add logs, or remove `log`",
             ));
         }
         let is_log = |name: &&String| seen.iter().any(|log| ***log == ***name);

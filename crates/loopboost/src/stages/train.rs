@@ -78,7 +78,7 @@ fn check_features(
     let remedy = "make the features again with `loopboost featurize PIPELINE.toml --out DIR`";
     if !features.ids.iter().eq(keyframes.iter().map(|k| &k.id)) {
         return Err(anyhow!(
-            "the rows of features.parquet are not those of keyframes.parquet; {remedy}"
+            "the rows of features.parquet do not match keyframes.parquet; {remedy}"
         ));
     }
     if features.names != options.set.feature_names() {
