@@ -225,7 +225,7 @@ fn a_grouping_that_cannot_be_held_out_gives_an_error_with_the_remedy() {
     workplace
         .command("run", "out", &[one, by_log].concat())
         .expect(2)
-        .says(&["`evaluate.groupings` has `log`", "add logs, or leave `log` out"]);
+        .says(&["`evaluate.groupings` contains `log`", "add logs, or remove `log`"]);
     assert!(!workplace.path("out/logs").exists(), "the error comes before any stage runs");
     // With two logs, no training pairs remain if both are held out.
     let why =
