@@ -2,7 +2,7 @@ use std::sync::Arc;
 
 use crate::Pose2;
 
-/// Names one scan of a run: the log's file stem and the scan's row in `scans/<log>.parquet`.
+/// Identifies one scan of a run: the file stem of the log and the row in `scans/<log>.parquet`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ScanId {
     /// File stem of the log.
@@ -11,22 +11,23 @@ pub struct ScanId {
     pub scan: u32,
 }
 
-/// A scan that is kept because the robot has moved on since the last one kept.
+/// A scan that is kept because the robot has moved since the previous keyframe.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Keyframe {
-    /// Which scan.
+    /// The scan.
     pub id: ScanId,
-    /// The map frame that the pose is in; logs of one site share it.
+    /// Name of the map frame of the pose. Logs of the same site share this frame.
     pub site: Arc<str>,
-    /// When the scan's first beam fired \[ns since the epoch\].
+    /// Time at which the first beam of the scan fired \[ns since the epoch\].
     pub stamp_ns: i64,
-    /// Where the robot was then.
+    /// Pose of the robot at that time.
     pub pose: Pose2,
-    /// How well that is known, where the poses tell, as in
-    /// [`StampedPose`](crate::StampedPose::covariance).
+    /// Covariance of the pose, if it is known. The entries are the same as in
+    /// [`StampedPose::covariance`](crate::StampedPose::covariance).
     pub covariance: Option<[f64; 6]>,
-    /// Sum of the straight-line distances between the keyframes of this log so far \[m\].
+    /// Distance driven since the first keyframe of this log: the sum of the straight-line distances
+    /// between consecutive keyframes \[m\].
     pub travel_m: f64,
-    /// Angle swept by the scan \[deg\].
+    /// Angle covered by the scan \[deg\].
     pub coverage_deg: f32,
 }

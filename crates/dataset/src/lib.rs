@@ -1,9 +1,37 @@
-//! The types that pass between the stages: [`Scan`], [`Pose2`], [`Keyframe`], [`Pair`].
+//! The data types that the stages exchange: [`Scan`], [`Pose2`], [`Keyframe`], [`Pair`].
 //!
-//! With the default feature `parquet`, [`tables`] reads and writes them. Without it this crate is
-//! small enough for a robot: no Arrow, no Parquet.
+//! With the default feature `parquet`, the module `tables` reads and writes these types. Without
+//! this feature, the crate does not depend on Arrow and Parquet and is small enough for a robot.
 //!
-//! Units: metres, radians and nanoseconds since the epoch, unless a name says otherwise.
+//! Units are metres, radians and nanoseconds since the epoch, unless the suffix of a name gives
+//! another unit.
+//!
+//! # Example
+//!
+//! Interpolate the pose of the robot at the time of a scan, and check that features can be computed
+//! from the scan:
+//!
+//! ```
+//! use dataset::{NoPose, Pose2, Scan, StampedPose, Trajectory};
+//!
+//! let pose = |x_m| Pose2 { x_m, y_m: 0.0, heading_rad: 0.0 };
+//! let poses = vec![StampedPose::new(0, pose(1.0)), StampedPose::new(100, pose(2.0))];
+//! let (trajectory, n_duplicates) = Trajectory::new(poses);
+//! assert_eq!(n_duplicates, 0);
+//!
+//! let scan = Scan {
+//!     stamp_ns: 50,
+//!     x_m: vec![1.0, 0.0, -1.0],
+//!     y_m: vec![0.0, 1.0, 0.0],
+//!     coverage_deg: 360.0,
+//!     hole_deg: 0.0,
+//! };
+//! assert_eq!(scan.check_usable(), Ok(()));
+//!
+//! let max_gap_ns = 100;
+//! assert_eq!(trajectory.pose_at(scan.stamp_ns, max_gap_ns), Ok(pose(1.5)));
+//! assert_eq!(trajectory.pose_at(101, max_gap_ns), Err(NoPose::AfterLast));
+//! ```
 
 mod codes;
 mod keyframe;

@@ -1,7 +1,7 @@
-/// Whether two scans show one place.
+/// Whether two scans show the same place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Label {
-    /// Another place, -1.
+    /// Different places, -1.
     Negative,
     /// The same place, +1.
     Positive,
@@ -21,7 +21,7 @@ impl Label {
         f64::from(self.sign())
     }
 
-    /// From +1 or -1.
+    /// The label for +1 or -1; `None` for any other number.
     pub fn from_sign(sign: i8) -> Option<Self> {
         match sign {
             1 => Some(Self::Positive),
@@ -30,25 +30,26 @@ impl Label {
         }
     }
 
-    /// The label that a confidence stands for: positive where it reaches the threshold.
+    /// The label predicted by a confidence: positive if the confidence is at least the threshold.
     pub fn from_confidence(confidence: f64, threshold: f64) -> Self {
         if threshold <= confidence { Self::Positive } else { Self::Negative }
     }
 }
 
-/// Two keyframes, unordered and unequal, and what is known of them.
+/// Two different keyframes, their label and the geometry between them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pair {
     /// Index of the later keyframe in the keyframe table.
     pub query: usize,
-    /// Index of the earlier keyframe; always less than `query`.
+    /// Index of the earlier keyframe in the keyframe table; always less than `query`.
     pub reference: usize,
     /// The label.
     pub label: Label,
-    /// Distance between the positions \[m\]; infinite between sites, which share no frame.
+    /// Distance between the positions \[m\]; infinite if the sites differ, because they do not
+    /// share a map frame.
     pub distance_m: f64,
-    /// Unsigned angle between the headings \[rad\]; none between sites.
+    /// Unsigned angle between the headings \[rad\]; `None` if the sites differ.
     pub heading_difference_rad: Option<f64>,
-    /// Path driven between the two \[m\]; infinite between logs, which no path joins.
+    /// Distance driven between the two keyframes \[m\]; infinite if the logs differ.
     pub travel_gap_m: f64,
 }

@@ -4,11 +4,11 @@ use std::ops::Mul;
 /// A pose in the plane.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pose2 {
-    /// \[m\]
+    /// Position along x \[m\].
     pub x_m: f64,
-    /// \[m\]
+    /// Position along y \[m\].
     pub y_m: f64,
-    /// Counter-clockwise from x \[rad\].
+    /// Angle from the x axis, counter-clockwise \[rad\].
     pub heading_rad: f64,
 }
 
@@ -24,7 +24,7 @@ impl Pose2 {
         wrap_angle(self.heading_rad - other.heading_rad).abs()
     }
 
-    /// Of `a_from_b`, `b_from_a`.
+    /// The inverse transform: `b_from_a` if `self` is `a_from_b`.
     pub fn inverse(&self) -> Self {
         let (sin, cos) = libm::sincos(self.heading_rad);
         Self {
@@ -35,7 +35,7 @@ impl Pose2 {
     }
 }
 
-/// Chained: with `self` as `a_from_b` and the other as `b_from_c`, the product is `a_from_c`.
+/// Composition of transforms: `a_from_b * b_from_c` is `a_from_c`.
 impl Mul for Pose2 {
     type Output = Self;
 
@@ -49,26 +49,26 @@ impl Mul for Pose2 {
     }
 }
 
-/// An angle wrapped into (-pi, pi].
+/// Wraps an angle into (-pi, pi].
 pub fn wrap_angle(rad: f64) -> f64 {
     let wrapped = rad.rem_euclid(TAU);
     if wrapped <= PI { wrapped } else { wrapped - TAU }
 }
 
-/// A pose and when the robot was there.
+/// A pose of the robot with its time stamp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StampedPose {
-    /// \[ns since the epoch\]
+    /// Time of the pose \[ns since the epoch\].
     pub stamp_ns: i64,
-    /// The pose in the site's map frame.
+    /// The pose in the map frame of the site.
     pub pose: Pose2,
-    /// How well it is known, where that is known: the upper triangle of the covariance of x, y and
-    /// heading, row by row: xx, xy, xh, yy, yh, hh \[m^2, m rad, rad^2\].
+    /// Covariance of x, y and heading, if it is known. The upper triangle is stored row by row:
+    /// xx, xy, xh, yy, yh, hh \[m^2, m rad, rad^2\].
     pub covariance: Option<[f64; 6]>,
 }
 
 impl StampedPose {
-    /// Of a pose of which it is not known how well it is known.
+    /// A pose without a covariance.
     pub fn new(stamp_ns: i64, pose: Pose2) -> Self {
         Self { stamp_ns, pose, covariance: None }
     }
@@ -83,21 +83,22 @@ pub enum NoPose {
     /// The stamp is after the last pose.
     #[error("after the last pose")]
     AfterLast,
-    /// The poses around the stamp are too far apart in time to interpolate between.
+    /// The poses before and after the stamp are too far apart in time for interpolation.
     #[error("in a gap between poses")]
     Gap,
 }
 
-/// Poses in order of time, strictly ascending.
+/// Poses with strictly ascending time stamps.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trajectory {
     poses: Vec<StampedPose>,
 }
 
 impl Trajectory {
-    /// Sorts the poses by stamp; of poses with one stamp the first given stays.
+    /// Sorts the poses by stamp. If several poses have the same stamp, only the first one in
+    /// `poses` is kept.
     ///
-    /// Returns the trajectory and how many poses had a stamp that was already taken.
+    /// Returns the trajectory and the number of duplicate poses that were removed.
     pub fn new(mut poses: Vec<StampedPose>) -> (Self, usize) {
         poses.sort_by_key(|p| p.stamp_ns); // stable
         let before = poses.len();
@@ -106,20 +107,25 @@ impl Trajectory {
         (Self { poses }, n_duplicates)
     }
 
-    /// The poses, strictly ascending in time.
+    /// The poses, with strictly ascending time stamps.
     pub fn poses(&self) -> &[StampedPose] {
         &self.poses
     }
 
-    /// The pose at a stamp, see [`Trajectory::stamped_pose_at`].
+    /// The interpolated pose at a stamp, without covariance. See [`Trajectory::stamped_pose_at`].
     pub fn pose_at(&self, stamp_ns: i64, max_gap_ns: i64) -> Result<Pose2, NoPose> {
         self.stamped_pose_at(stamp_ns, max_gap_ns).map(|stamped| stamped.pose)
     }
 
-    /// The pose at a stamp: position linear, heading along the shorter arc, between the two
-    /// poses around it, where these are at most `max_gap_ns` apart. A stamp that a pose has needs
-    /// no neighbour. The covariance is linear too, where both have one: errors of neighbours are
-    /// alike, so that a mean of the two is as uncertain as they are.
+    /// The interpolated pose at a stamp.
+    ///
+    /// If a pose has exactly this stamp, it is returned unchanged. Otherwise the result is
+    /// interpolated between the poses before and after the stamp, which must be at most
+    /// `max_gap_ns` apart. The position is interpolated linearly, the heading along the shorter
+    /// arc.
+    ///
+    /// The covariance is interpolated linearly if both poses have one. The errors of neighbouring
+    /// poses are strongly correlated: averaging two poses does not reduce the uncertainty.
     pub fn stamped_pose_at(&self, stamp_ns: i64, max_gap_ns: i64) -> Result<StampedPose, NoPose> {
         let after = self.poses.partition_point(|p| p.stamp_ns < stamp_ns);
         let Some(next) = self.poses.get(after) else {
@@ -160,9 +166,9 @@ mod tests {
         StampedPose::new(stamp_ns, Pose2 { x_m, y_m: -x_m, heading_rad })
     }
 
-    /// A quarter turn to the left at (1, 2), then 3 ahead and 1 to the left: (1 - 1, 2 + 3).
+    /// At (1, 2), rotated left by 90 deg; then 3 ahead and 1 to the left: (1 - 1, 2 + 3).
     #[test]
-    fn poses_are_chained_and_turned_around() {
+    fn poses_are_composed_and_inverted() {
         let a_from_b = Pose2 { x_m: 1.0, y_m: 2.0, heading_rad: PI / 2.0 };
         let b_from_c = Pose2 { x_m: 3.0, y_m: 1.0, heading_rad: PI };
         let a_from_c = a_from_b * b_from_c;
@@ -173,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn halfway_between_two_poses_and_along_the_shorter_arc() {
+    fn the_heading_is_interpolated_along_the_shorter_arc() {
         let (trajectory, duplicates) =
             Trajectory::new(vec![at(200, 2.0, -170.0), at(100, 1.0, 170.0), at(200, 9.0, 0.0)]);
         assert_eq!(duplicates, 1);
@@ -184,9 +190,10 @@ mod tests {
         assert!((pose.heading_rad - 175f64.to_radians()).abs() < 1e-12);
     }
 
-    /// A quarter of the way from 1 to 5 is 2; one neighbour without a covariance leaves none.
+    /// A quarter of the way from 1 to 5 is 2. If one neighbour has no covariance, the result has
+    /// none.
     #[test]
-    fn covariances_are_interpolated_where_both_neighbours_have_one() {
+    fn covariances_are_interpolated_if_both_neighbours_have_one() {
         let with = |stamp_ns, entry: f64| StampedPose {
             covariance: Some([entry, 0.0, -entry, entry, 0.0, 1.0]),
             ..at(stamp_ns, 0.0, 0.0)
@@ -200,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn no_pose_outside_or_in_a_gap_but_at_a_pose_itself() {
+    fn there_is_no_pose_outside_the_trajectory_or_in_a_gap() {
         let (trajectory, _) = Trajectory::new(vec![at(100, 1.0, 0.0), at(200, 2.0, 0.0)]);
         assert_eq!(trajectory.pose_at(99, 100), Err(NoPose::BeforeFirst));
         assert_eq!(trajectory.pose_at(201, 100), Err(NoPose::AfterLast));
@@ -210,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_wrap_into_half_open_turn() {
+    fn angles_are_wrapped_into_the_half_open_interval() {
         assert_eq!(wrap_angle(PI), PI);
         assert_eq!(wrap_angle(-PI), PI);
         assert!((wrap_angle(3.0 * PI + 0.25) - (0.25 - PI)).abs() < 1e-12);

@@ -1,59 +1,60 @@
 use serde::{Deserialize, Serialize};
 
-/// A scan that sweeps at least this angle is a closed ring \[deg\]: its last return is a
-/// neighbour of its first (DESIGN, "The 16 features").
+/// A scan that covers at least this angle is a closed ring \[deg\]: its last return is a neighbour
+/// of its first return. See `docs/features.md`.
 pub const FULL_RING_DEG: f32 = 355.0;
 
-/// Ranges that count as returns, both ends included.
+/// The smallest and largest range of a valid return. Both limits are included.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RangeLimits {
-    /// Nearest return kept \[m\].
+    /// Smallest range that is kept \[m\].
     pub min_m: f64,
-    /// Farthest return kept \[m\].
+    /// Largest range that is kept \[m\].
     pub max_m: f64,
 }
 
 impl RangeLimits {
-    /// Whether a range lies within the limits; NaN does not.
+    /// Whether a range is within the limits. Returns false for NaN.
     pub fn contains(&self, range_m: f64) -> bool {
         self.min_m <= range_m && range_m <= self.max_m
     }
 }
 
-/// One planar scan: the returns of one turn of one laser, or of one sweep of a planar scanner.
+/// One planar scan: the returns of one revolution of one laser, or of one sweep of a planar
+/// scanner.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Scan {
-    /// When the first beam fired \[ns since the epoch\].
+    /// Time at which the first beam fired \[ns since the epoch\].
     pub stamp_ns: i64,
-    /// x of the returns in the lidar frame, forward \[m\], in firing order, `(n_returns,)`.
+    /// x (forward) of the returns in the lidar frame, in firing order \[m\], `(n_returns,)`.
     pub x_m: Vec<f32>,
-    /// y of the returns in the lidar frame, left \[m\], `(n_returns,)`.
+    /// y (left) of the returns in the lidar frame, in firing order \[m\], `(n_returns,)`.
     pub y_m: Vec<f32>,
-    /// Angle swept by the firings, returned or not \[deg\].
+    /// Angle covered by the firings, with or without a return \[deg\].
     pub coverage_deg: f32,
-    /// The widest stretch in it without a firing, for want of packets \[deg\]; 0 where none is
-    /// missing.
+    /// The largest angle without packets \[deg\]; 0 if no packets are missing.
     pub hole_deg: f32,
 }
 
-/// Why no features can be computed from a scan.
+/// The reason why no features can be computed from a scan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, thiserror::Error)]
 pub enum Unusable {
     /// A coordinate is NaN or infinite.
     #[error("a coordinate that is not finite")]
     NotFinite,
-    /// A circle needs three points.
+    /// There are fewer than three returns. The fit of a circle needs three points.
     #[error("fewer than 3 returns")]
     TooFewReturns,
-    /// No circle passes through a line.
+    /// All returns are on one line. No circle can be fitted to a line.
     #[error("all returns on one line")]
     OneLine,
 }
 
-/// Smaller over larger eigenvalue of the scatter matrix below which points are on one line.
+/// Points are on one line if the ratio of the smaller to the larger eigenvalue of their scatter
+/// matrix is at most this value.
 ///
-/// A line of points whose coordinates were rounded to f32 (relative 6e-8) has a ratio of about
-/// 4e-15; a real wall measured to 1 mm over 10 m has 1e-8.
+/// Points on an exact line have a ratio of about 4e-15 after their coordinates are rounded to f32
+/// (relative error 6e-8). A real wall of 10 m, measured with 1 mm of noise, has a ratio of 1e-8.
 const ONE_LINE_EIGENVALUE_RATIO: f64 = 1e-12;
 
 impl Scan {
@@ -62,7 +63,7 @@ impl Scan {
         self.x_m.len()
     }
 
-    /// Whether there is no return.
+    /// Whether the scan has no returns.
     pub fn is_empty(&self) -> bool {
         self.x_m.is_empty()
     }
@@ -77,7 +78,8 @@ impl Scan {
         self.x_m.iter().zip(&self.y_m).map(|(&x, &y)| [f64::from(x), f64::from(y)])
     }
 
-    /// Checks that the features of this scan exist: three returns or more, not on one line.
+    /// Checks that features can be computed from this scan: it needs at least three finite returns
+    /// that are not all on one line.
     pub fn check_usable(&self) -> Result<(), Unusable> {
         if self.len() < 3 {
             return Err(Unusable::TooFewReturns);
@@ -92,8 +94,8 @@ impl Scan {
             sxy += dx * dy;
             syy += dy * dy;
         }
-        // With eigenvalues a >= b of the scatter matrix: a b = det and a + b = trace, hence
-        // b / a is about det / trace^2 where it is small.
+        // The eigenvalues a >= b of the scatter matrix satisfy a b = det and a + b = trace.
+        // Therefore b / a is about det / trace^2 if it is small.
         let (det, trace) = (sxx * syy - sxy * sxy, sxx + syy);
         if !det.is_finite() {
             return Err(Unusable::NotFinite);
@@ -129,7 +131,7 @@ mod tests {
     }
 
     #[test]
-    fn coordinates_that_are_no_numbers_are_refused() {
+    fn a_scan_with_a_coordinate_that_is_not_finite_is_unusable() {
         for bad in [f32::NAN, f32::INFINITY] {
             let scan = scan(&[(1.0, 0.0), (0.0, bad), (-1.0, 0.5), (0.0, -1.0)]);
             assert_eq!(scan.check_usable(), Err(Unusable::NotFinite));
@@ -144,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn range_limits_include_both_ends_and_no_nan() {
+    fn range_limits_include_both_limits_and_exclude_nan() {
         let limits = RangeLimits { min_m: 0.9, max_m: 70.0 };
         assert!(limits.contains(0.9) && limits.contains(70.0));
         assert!(!limits.contains(0.899) && !limits.contains(70.01));

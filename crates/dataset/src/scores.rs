@@ -1,16 +1,17 @@
-/// Confidences of all pairs under one learner and one grouping of the folds, each by a
-/// classifier that saw no pair of a fold that the pair touches.
+/// Cross-validated confidences of all pairs for one learner and one grouping.
+///
+/// The confidence of a pair comes from a classifier that was trained without the folds of the pair.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scores {
-    /// The learner's name.
+    /// Name of the learner.
     pub learner: String,
-    /// What was kept together on one side of a fold.
+    /// Name of the grouping. A group is never split between training and test.
     pub grouping: String,
-    /// Rounds that each confidence is given for.
+    /// Number of boosting rounds for which each pair has a confidence.
     pub n_rounds: usize,
-    /// Group of each pair's query and of its reference, `(n_pairs, 2)`.
+    /// Groups of the query and the reference of each pair, `(n_pairs, 2)`.
     pub groups: Vec<[u32; 2]>,
-    /// Fold of each pair's query and of its reference, `(n_pairs, 2)`.
+    /// Folds of the query and the reference of each pair, `(n_pairs, 2)`.
     pub folds: Vec<[u32; 2]>,
     /// Confidence of each pair after each round, row-major, `(n_pairs, n_rounds)`.
     pub confidences: Vec<f64>,
@@ -23,103 +24,105 @@ impl Scores {
     }
 }
 
-/// The folds that a fit did not train on.
+/// The folds that were held out of the training.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct HeldOut {
-    /// What was kept together on one side of a fold.
+    /// Name of the grouping. A group is never split between training and test.
     pub grouping: String,
     /// The two folds, ascending; the same fold twice if only one was held out.
     pub folds: [u32; 2],
 }
 
-/// One round of boosting, as it was fitted; of a tree, one of its splits.
+/// One fitted round of boosting. If the weak learner is a tree, one split of the tree.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoostingRound {
-    /// The learner's name.
+    /// Name of the learner.
     pub learner: String,
     /// The folds held out; `None` for the model fitted on all pairs.
     pub held_out: Option<HeldOut>,
     /// Round, from 1.
     pub round: u32,
-    /// Node of the tree, 0 its root, the children of k at 2 k + 1 and 2 k + 2; none for weak
-    /// learners of one feature.
+    /// Node of the tree. The root is 0 and the children of node k are 2 k + 1 and 2 k + 2. `None`
+    /// for weak learners that use one feature.
     pub node: Option<u32>,
-    /// Name of the feature chosen.
+    /// Name of the selected feature.
     pub feature: String,
-    /// Its threshold, for weak learners that have one.
+    /// Threshold of the weak learner, if it has one.
     pub threshold: Option<f64>,
-    /// Error under the round's weights: the share of wrong labels (`discrete`) or the mean of
-    /// the squared residuals (the others; of a tree, as a share of the squares there were).
+    /// Error under the weights of the round. For `discrete`, the weighted share of wrong labels.
+    /// For the gentle learners, the weighted mean of the squared residuals. For `logit_trees`, the
+    /// sum of the squared residuals as a share of the sum of squares before the round.
     pub weighted_error: f64,
 }
 
-/// How well one learner finds the positives among all pairs of keyframes, as they come: at their
-/// natural prevalence.
+/// Performance of one learner on all pairs of keyframes, with the natural proportion of positives.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Retrieval {
-    /// The learner's name.
+    /// Name of the learner.
     pub learner: String,
-    /// What was kept together on one side of a fold.
+    /// Name of the grouping. A group is never split between training and test.
     pub grouping: String,
-    /// The log whose keyframes are paired; none for the pairs of all logs together.
+    /// The log whose keyframes are paired; `None` for the pairs of all logs together.
     pub log: Option<String>,
-    /// Whether a pair that is neither positive nor negative counts as negative; it is left out
-    /// otherwise.
+    /// Whether ambiguous pairs (neither positive nor negative) count as negative. If false, they
+    /// are left out.
     pub ambiguous_as_negative: bool,
-    /// Positive pairs scored.
+    /// Number of scored positive pairs.
     pub n_positive: u64,
-    /// Negative pairs scored.
+    /// Number of scored negative pairs.
     pub n_negative: u64,
-    /// Pairs left out: neither positive nor negative.
+    /// Number of ambiguous pairs that were left out.
     pub n_ambiguous: u64,
-    /// Pairs left out: no classifier could be trained without the folds they touch.
+    /// Number of pairs that were not scored because no classifier could be trained without their
+    /// folds.
     pub n_unscored: u64,
-    /// Every so many-th keyframe was a query, against all before it.
+    /// Every `query_stride`-th keyframe is a query. It is compared with all earlier keyframes.
     pub query_stride: u64,
-    /// Average precision; none without positives.
+    /// Average precision; `None` if there are no positives.
     pub average_precision: Option<f64>,
-    /// Greatest share of the positives called positive while no negative is.
+    /// Largest recall at which no negative is classified as positive.
     pub recall_at_full_precision: Option<f64>,
-    /// Greatest share of the positives called positive while at most 1 % of the negatives are.
+    /// Largest recall at which at most 1 % of the negatives are classified as positive.
     pub detection_at_1_percent: Option<f64>,
-    /// Greatest harmonic mean of precision and recall over all thresholds.
+    /// Largest F1 score (harmonic mean of precision and recall) over all thresholds.
     pub max_f1: Option<f64>,
-    /// Points of falling threshold, thinned: the counts are exact.
+    /// Points of the curve by descending threshold. Not every threshold has a point. The counts of
+    /// each point are exact.
     pub curve: Vec<RetrievalPoint>,
 }
 
-/// A point of a [`Retrieval`]'s curve.
+/// A point on the curve of a [`Retrieval`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RetrievalPoint {
-    /// Pairs whose confidence is not less than this are called positive.
+    /// Pairs with at least this confidence are classified as positive.
     pub threshold: f64,
-    /// Positives called positive.
+    /// Number of positives classified as positive.
     pub true_positive: u64,
-    /// Negatives called positive.
+    /// Number of negatives classified as positive.
     pub false_positive: u64,
 }
 
-/// How useful one feature is on its own, and to the models.
+/// Usefulness of one feature on its own and in the models.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FeatureUsefulness {
-    /// The feature's name.
+    /// Name of the feature.
     pub name: String,
-    /// Area under the ROC curve when the feature alone ranks the pairs: 0.5 is chance, 1 is
-    /// perfect.
+    /// Area under the ROC curve if only this feature ranks the pairs: 0.5 is chance, 1 is perfect.
     pub auc: f64,
-    /// Median change of the feature when a scan loses every other return, as a share of the
-    /// feature's interquartile range.
+    /// Median change of the feature if every other return of a scan is removed, as a share of the
+    /// interquartile range of the feature.
     pub stability: f64,
-    /// Number of splits on the feature, over the rounds of all models fitted on all pairs.
+    /// Number of splits on the feature, summed over the rounds of all models that are trained on
+    /// all pairs.
     pub chosen: u64,
 }
 
-/// The cross-validated error of a learner on pairs drawn by other label rules.
+/// Cross-validated error of a learner on pairs that are labelled with other rules.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GridCell {
-    /// The learner's name.
+    /// Name of the learner.
     pub learner: String,
-    /// What was kept together on one side of a fold.
+    /// Name of the grouping. A group is never split between training and test.
     pub grouping: String,
     /// `label.positive_radius_m` \[m\].
     pub positive_radius_m: f64,
@@ -127,6 +130,6 @@ pub struct GridCell {
     pub negative_min_m: f64,
     /// `label.min_travel_gap_m` \[m\].
     pub min_travel_gap_m: f64,
-    /// Share of the pairs given the wrong label at the last round, or why there is none.
+    /// Share of the pairs with a wrong label after the last round, or the reason why there is none.
     pub error: Result<f64, String>,
 }

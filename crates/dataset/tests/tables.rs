@@ -1,4 +1,4 @@
-//! Tables survive the disk, refuse what is not theirs, and are never half there.
+//! Writing and reading of tables: round trips, errors for invalid files, and atomic writes.
 
 #![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
 #![cfg(feature = "parquet")]
@@ -109,7 +109,7 @@ fn scan_bytes_do_not_depend_on_batches_or_threads() {
 }
 
 #[test]
-fn a_failed_write_leaves_what_was_there() {
+fn a_failed_write_does_not_change_the_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("scans.parquet");
     write_n_scans(&path, 5, 5);
@@ -120,11 +120,11 @@ fn a_failed_write_leaves_what_was_there() {
     });
     assert!(failed.is_err());
     assert_eq!(fs::read(&path).unwrap(), before);
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no leftover");
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "the temporary file is removed");
 }
 
 #[test]
-fn tables_keep_their_rows_and_provenance() {
+fn poses_keyframes_pairs_and_features_are_read_as_written() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
 
@@ -300,7 +300,7 @@ fn a_file_that_is_not_the_expected_table_gives_an_error_that_names_it() {
     let message = || read_keyframes(&path).unwrap_err().to_string();
     assert!(message().contains("does not exist"));
 
-    fs::write(&path, b"PAR1 but no table").unwrap();
+    fs::write(&path, b"PAR1 but not a table").unwrap();
     assert!(message().contains("is not a readable Parquet table"), "{}", message());
 
     write_poses(&path, &provenance(), "a", &Trajectory::default()).unwrap();

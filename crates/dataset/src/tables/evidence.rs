@@ -1,5 +1,5 @@
-//! The tables of what `train` measures beyond the labelled pairs: all pairs at their natural
-//! prevalence, and pairs drawn by other label rules.
+//! The tables of `train` about all pairs of keyframes, and about pairs that are labelled with other
+//! rules.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -17,8 +17,8 @@ use super::types::{batch, floats, strings};
 use super::{Provenance, Result, TableError, read_table, write_table};
 use crate::{GridCell, Retrieval, RetrievalPoint};
 
-/// Writes `retrieval.parquet`: a row for each learner, log (null: all together) and reading of the
-/// ambiguous pairs; the curve as lists of one length.
+/// Writes `retrieval.parquet`: one row per learner, log and treatment of ambiguous pairs. The log
+/// is null for all logs together. The columns of the curve are lists of the same length.
 pub fn write_retrieval(path: &Path, provenance: &Provenance, rows: &[Retrieval]) -> Result<()> {
     write_table(path, "retrieval", provenance, &retrieval_batch(rows))
 }
@@ -124,7 +124,7 @@ pub fn read_retrieval(path: &Path) -> Result<(Vec<Retrieval>, Provenance)> {
                 return Err(TableError::Row {
                     path: path.to_owned(),
                     row,
-                    detail: "the lists of its curve differ in length".to_owned(),
+                    detail: "the lists of the curve differ in length".to_owned(),
                 });
             }
             let t = t.as_primitive::<Float64Type>().values();
@@ -156,7 +156,7 @@ pub fn read_retrieval(path: &Path) -> Result<(Vec<Retrieval>, Provenance)> {
     Ok((rows, provenance))
 }
 
-/// Writes `grid.parquet`: `error` is null where there are too few pairs, and `reason` says so.
+/// Writes `grid.parquet`. If there are too few pairs, `error` is null and `reason` states why.
 pub fn write_grid(path: &Path, provenance: &Provenance, cells: &[GridCell]) -> Result<()> {
     write_table(path, "grid", provenance, &grid_batch(cells))
 }

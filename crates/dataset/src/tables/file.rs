@@ -1,4 +1,4 @@
-//! One table file: written completely or not at all; its provenance is checked when it is read.
+//! Reads and writes one table file. Writing is atomic. Reading checks the kind and the version.
 
 use std::ffi::OsString;
 use std::fs::{self, File};
@@ -18,10 +18,10 @@ use parquet::file::properties::{EnabledStatistics, WriterProperties, WriterPrope
 
 use super::{FORMAT_VERSION, Provenance, Result, TableError};
 
-/// Writes a file through `fill` to a temporary file in the same folder, and renames it when it is
-/// complete and on disk.
+/// Writes a file atomically: `fill` writes to a temporary file in the same folder, which is renamed
+/// when it is complete and on disk.
 ///
-/// After an error, or a crash at any moment, `path` is unchanged.
+/// If there is an error or a crash, `path` is unchanged.
 pub fn write_atomically<T, E: From<TableError>>(
     path: &Path,
     fill: impl FnOnce(BufWriter<File>) -> std::result::Result<(BufWriter<File>, T), E>,
@@ -44,13 +44,14 @@ pub fn write_atomically<T, E: From<TableError>>(
         Ok(value)
     })();
     if written.is_err() {
-        // Report the first error; the next run overwrites a leftover.
+        // Only the first error is reported. If the file cannot be removed, the next run overwrites
+        // it.
         let _ = fs::remove_file(&partial);
     }
     written
 }
 
-/// Writes a file completely or not at all.
+/// Writes a file atomically.
 pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
     write_atomically(path, |mut file| match file.write_all(bytes) {
         Ok(()) => Ok((file, ())),
@@ -58,7 +59,7 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
     })
 }
 
-/// `keyframes.parquet` is written as `.keyframes.parquet.partial`.
+/// The path of the temporary file: `.keyframes.parquet.partial` for `keyframes.parquet`.
 fn partial_path(path: &Path) -> PathBuf {
     let mut name = OsString::from(".");
     name.push(path.file_name().unwrap_or_default());
@@ -66,20 +67,20 @@ fn partial_path(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// Whether a file is one that [`write_atomically`] did not finish.
+/// Whether the path is a temporary file of [`write_atomically`].
 pub fn is_partial(path: &Path) -> bool {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     name.starts_with('.') && name.ends_with(".partial")
 }
 
-/// Bytes of a file that are hashed at a time.
+/// Number of bytes that are hashed at a time.
 const DIGEST_BLOCK_BYTES: usize = 8 << 20;
 
-/// BLAKE3 digest of a file's bytes, hex.
+/// BLAKE3 digest of the content of a file, in hex.
 pub fn digest_file(path: &Path) -> Result<String> {
     let io = |source| read_error(path, source);
     let mut hasher = blake3::Hasher::new();
-    // In blocks: memory must not grow with the file. All threads hash one block.
+    // The file is read in blocks to limit the memory. All threads hash the same block.
     let mut file = File::open(path).map_err(io)?;
     let mut block = Vec::with_capacity(DIGEST_BLOCK_BYTES);
     loop {
@@ -93,8 +94,8 @@ pub fn digest_file(path: &Path) -> Result<String> {
     Ok(hasher.finalize().to_hex().to_string())
 }
 
-/// Writer settings of all tables: zstd, and no version of the library, which would change the bytes
-/// with every update.
+/// Writer settings of all tables: zstd compression. The version of the Parquet library is not
+/// stored, because it would change the bytes with every update of the library.
 pub(super) fn properties(metadata: Vec<KeyValue>) -> WriterPropertiesBuilder {
     WriterProperties::builder()
         .set_compression(Compression::ZSTD(ZstdLevel::try_new(1).expect("1 is a zstd level")))
@@ -112,7 +113,7 @@ pub fn write_table(
 ) -> Result<()> {
     write_atomically(path, |file| {
         let failed = |e: parquet::errors::ParquetError| write_error(path, e);
-        // The tables need no embedded Arrow schema. Without it, readers in Python show the
+        // The tables do not need an embedded Arrow schema. Without it, readers in Python show the
         // provenance as the metadata of the schema.
         let options = ArrowWriterOptions::new()
             .with_properties(properties(provenance.to_metadata(kind)).build())
@@ -154,7 +155,9 @@ pub fn read_provenance(path: &Path) -> Result<(String, Provenance)> {
         .map_err(|e| unreadable(path, e))?;
     let entries = metadata.metadata().file_metadata().key_value_metadata();
     Provenance::from_entries(|key| entries?.iter().find(|entry| entry.key == key)?.value.clone())
-        .ok_or_else(|| unreadable(path, "it has no provenance metadata of loopboost"))
+        .ok_or_else(|| {
+            unreadable(path, "the provenance metadata of loopboost is missing or incomplete")
+        })
 }
 
 /// Opens a table and checks its kind and its format version.
@@ -194,12 +197,12 @@ pub(super) fn open_table(
             }
         }
         Provenance::from_metadata(get)
-            .ok_or_else(|| unreadable(path, "its provenance metadata is incomplete"))?
+            .ok_or_else(|| unreadable(path, "the provenance metadata is incomplete"))?
     };
     Ok((ParquetRecordBatchReaderBuilder::new_with_metadata(file, metadata), provenance))
 }
 
-/// Reads a whole table of a kind, with its provenance.
+/// Reads a complete table of the given kind, and its provenance.
 pub fn read_table(path: &Path, kind: &'static str) -> Result<(RecordBatch, Provenance)> {
     let (builder, provenance) = open_table(path, kind)?;
     let schema: SchemaRef = builder.schema().clone();
@@ -207,11 +210,11 @@ pub fn read_table(path: &Path, kind: &'static str) -> Result<(RecordBatch, Prove
     let reader = builder.with_batch_size(n_rows.max(1)).build().map_err(|e| unreadable(path, e))?;
     let mut whole = RecordBatch::new_empty(schema);
     for batch in reader {
-        // The batch size is the size of the table: there is at most one batch.
+        // There is at most one batch, because the batch size is the size of the table.
         whole = batch.map_err(|e| unreadable(path, e))?;
     }
     if whole.num_rows() != n_rows {
-        return Err(unreadable(path, format!("{} of {n_rows} rows", whole.num_rows())));
+        return Err(unreadable(path, format!("read {} rows, expected {n_rows}", whole.num_rows())));
     }
     Ok((whole, provenance))
 }

@@ -1,23 +1,23 @@
-//! The tables of a run folder (Parquet, zstd). `docs/tables.md` lists names and columns.
+//! The tables of a run folder (Parquet, zstd). `docs/tables.md` lists their names and columns.
 //!
 //! ```text
 //! <out>/
 //!   scans/<log>.parquet      one row per planar scan           (streamed, see [`scans`])
 //!   poses/<log>.parquet      one row per pose
-//!   keyframes.parquet        one row per scan that was kept
+//!   keyframes.parquet        one row per keyframe
 //!   pairs.parquet            one row per labelled pair
 //!   features.parquet         one row per keyframe
 //!   feature_stability.parquet    one row per feature
 //!   scores.parquet           one row per pair and learner: cross-validated confidences
 //!   rounds.parquet           one row per round of boosting
-//!   retrieval.parquet        one row per learner and log: all pairs at their natural prevalence
+//!   retrieval.parquet        one row per learner and log: results on all pairs of keyframes
 //!   grid.parquet             one row per learner and label rule
 //!   feature_usefulness.parquet   one row per feature
-//!   evaluation/*.parquet     the measures
+//!   evaluation/*.parquet     results of the evaluation
 //! ```
 //!
-//! Every table carries its [`Provenance`]. A table is complete or absent: it is written to a
-//! temporary file in the same folder and renamed when it is complete.
+//! Every table stores its [`Provenance`]. Writing a table is atomic: the data go to a temporary
+//! file in the same folder, which is renamed when it is complete.
 
 mod columns;
 mod evidence;
@@ -47,52 +47,52 @@ pub use usefulness::{
     write_feature_stability, write_feature_usefulness,
 };
 
-/// What can be wrong with a table.
+/// An error while a table is read or written.
 ///
-/// The messages name no remedy: which command makes a table is known to the program, not here.
-/// [`TableError::path`] names the file.
+/// The messages do not suggest what to do, because only the program knows which command writes
+/// which table. [`TableError::path`] returns the path of the file.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
     /// The file does not exist.
     #[error("{path} does not exist")]
     Missing {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// The operating system reports an error.
+    /// The operating system reported an error.
     #[error("cannot {action} {path}")]
     Io {
         /// "read", "write", ...
         action: &'static str,
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system reports.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// The bytes are not a Parquet table, or the table is damaged.
+    /// The file is not a Parquet table, or it is damaged.
     #[error("{path} is not a readable Parquet table: {detail}")]
     Unreadable {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// What the decoder reports.
+        /// The message of the decoder.
         detail: String,
     },
-    /// A Parquet file that loopboost did not write, or a table of another kind.
+    /// The Parquet file was not written by loopboost, or it is a table of another kind.
     #[error("{path} is {found}, expected a loopboost table of kind `{expected}`")]
     Kind {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The kind that was expected.
+        /// The expected kind.
         expected: &'static str,
-        /// What it is instead.
+        /// A description of what the file is.
         found: String,
     },
-    /// A table of another format version.
+    /// The table has another format version.
     #[error("{path} has format version {found}, this program reads version {expected}")]
     Version {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The version found.
+        /// The version of the table.
         found: String,
         /// The version that this program reads.
         expected: u32,
@@ -100,21 +100,21 @@ pub enum TableError {
     /// A column is missing, has another type, or has nulls that are not allowed.
     #[error("{path}: column `{column}`: expected {expected}, found {found}")]
     Column {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The column.
+        /// Name of the column.
         column: String,
-        /// What it must be.
+        /// What was expected.
         expected: &'static str,
-        /// What it is.
+        /// What was found.
         found: String,
     },
-    /// A row that contradicts the table's contract or another table.
+    /// A row is invalid, or it contradicts another table.
     #[error("{path}: row {row}: {detail}")]
     Row {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// Row, from 0.
+        /// Number of the row, from 0.
         row: usize,
         /// What is wrong.
         detail: String,
@@ -122,7 +122,7 @@ pub enum TableError {
 }
 
 impl TableError {
-    /// The file.
+    /// Path of the file.
     pub fn path(&self) -> &Path {
         match self {
             Self::Missing { path }
@@ -135,7 +135,7 @@ impl TableError {
         }
     }
 
-    /// Whether the file has to be made again before it can be read.
+    /// Whether writing the table again fixes the error.
     pub fn is_cured_by_making_it_again(&self) -> bool {
         !matches!(self, Self::Io { .. })
     }

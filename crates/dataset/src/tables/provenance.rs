@@ -5,34 +5,35 @@ use serde_json::Value;
 
 use crate::{Losses, Note};
 
-/// Version of the table formats. A table of another version is not read.
+/// Version of the table formats. Tables of other versions cannot be read.
 pub const FORMAT_VERSION: u32 = 4;
 
-/// Where a table comes from. It is stored in the key-value metadata of the table.
+/// The origin of a table. It is stored in the key-value metadata of the table.
 ///
 /// | key | value |
 /// |---|---|
 /// | `loopboost.kind` | `scans`, `poses`, `keyframes`, ... |
 /// | `loopboost.format_version` | [`FORMAT_VERSION`] |
-/// | `loopboost.program_version` | the program's version |
-/// | `loopboost.seed` | the run's seed |
-/// | `loopboost.options` | the stage's options, resolved, as JSON |
-/// | `loopboost.inputs` | JSON object: input file to BLAKE3 digest, hex |
-/// | `loopboost.losses` | JSON list of what the stage left out: code, arguments, subject, count `n` |
-/// | `loopboost.notes` | JSON list of remarks: code, arguments, subject |
+/// | `loopboost.program_version` | version of the program |
+/// | `loopboost.seed` | seed of the run |
+/// | `loopboost.options` | options of the stage, including defaults, as JSON |
+/// | `loopboost.inputs` | JSON object: BLAKE3 digest (hex) of each input file |
+/// | `loopboost.losses` | JSON list of losses: code, arguments, subject, count `n` |
+/// | `loopboost.notes` | JSON list of notes: code, arguments, subject |
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Provenance {
     /// Version of the program that wrote the table.
     pub program_version: String,
-    /// The run's seed.
+    /// Seed of the run.
     pub seed: u64,
-    /// The options of the stage, with all defaults.
+    /// Options of the stage, including defaults.
     pub options: Value,
-    /// BLAKE3 digests of the inputs, by name in the run folder (logs: by file name).
+    /// BLAKE3 digests of the inputs. The key is the path in the run folder; for logs, the file
+    /// name.
     pub inputs: BTreeMap<String, String>,
-    /// What the stage left out.
+    /// The data that the stage left out.
     pub losses: Losses,
-    /// What the stage remarked.
+    /// The notes of the stage.
     pub notes: Vec<Note>,
 }
 
@@ -41,7 +42,7 @@ impl Provenance {
         self.entries(kind).into_iter().map(|(key, value)| KeyValue::new(key, value)).collect()
     }
 
-    /// Keys and values, as an artifact of a kind stores them.
+    /// The keys and values that a file of the given kind stores.
     pub fn entries(&self, kind: &str) -> Vec<(String, String)> {
         let entry = |key: &str, value: String| (format!("loopboost.{key}"), value);
         vec![
@@ -56,13 +57,14 @@ impl Provenance {
         ]
     }
 
-    /// Kind and provenance from the keys and values of an artifact; none if one is missing.
+    /// The kind and the provenance, from the keys and values of a file. Returns `None` if a key is
+    /// missing or a value cannot be parsed.
     pub fn from_entries(get: impl Fn(&str) -> Option<String>) -> Option<(String, Self)> {
         let of = |key: &str| get(&format!("loopboost.{key}"));
         Some((of("kind")?, Self::from_metadata(of)?))
     }
 
-    /// Reads everything but kind and format version, which the caller has checked.
+    /// Reads the provenance. The caller has already checked the kind and the format version.
     pub(super) fn from_metadata(get: impl Fn(&str) -> Option<String>) -> Option<Self> {
         Some(Self {
             program_version: get("program_version")?,

@@ -1,13 +1,14 @@
-//! `scans/<log>.parquet`: one planar scan a row, streamed, since a log can hold many.
+//! `scans/<log>.parquet`: one row per planar scan. The table is streamed, because a log can contain
+//! many scans.
 //!
 //! | column | type | |
 //! |---|---|---|
-//! | `log` | string | the log's file stem |
+//! | `log` | string | file stem of the log |
 //! | `scan` | u32 | row number |
-//! | `stamp_ns` | i64 | when the first beam fired |
+//! | `stamp_ns` | i64 | time at which the first beam fired |
 //! | `x_m`, `y_m` | list of f32 | returns in the lidar frame, in firing order |
-//! | `coverage_deg` | f32 | angle swept by the firings |
-//! | `hole_deg` | f32 | widest stretch of it without a firing, for want of packets |
+//! | `coverage_deg` | f32 | angle covered by the firings |
+//! | `hole_deg` | f32 | the largest angle without packets; 0 if no packets are missing |
 //! | `usable` | bool | whether features can be computed ([`Scan::check_usable`]) |
 
 use std::fs::File;
@@ -39,21 +40,22 @@ use super::file::{open_table, properties, unreadable, write_error};
 use super::{Provenance, Result, TableError, write_atomically};
 use crate::{Losses, Note, Scan};
 
-/// Rows in a row group; fixed, so that the bytes do not depend on how scans arrive.
+/// Number of rows per row group. It is fixed because the bytes must not depend on how the scans are
+/// batched.
 const SCANS_PER_GROUP: usize = 128;
 
-/// What is known of a scan without its points.
+/// A scan without its points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScanHeader {
-    /// When the first beam fired \[ns since the epoch\].
+    /// Time at which the first beam fired \[ns since the epoch\].
     pub stamp_ns: i64,
-    /// Angle swept by the firings \[deg\].
+    /// Angle covered by the firings \[deg\].
     pub coverage_deg: f32,
     /// Whether features can be computed from the scan.
     pub usable: bool,
 }
 
-/// Writes a scans table; `produce` hands scans to the [`ScanWriter`] in order.
+/// Writes a table of scans. `produce` passes the scans to the [`ScanWriter`] in order.
 pub fn write_scans<T, E: From<TableError>>(
     path: &Path,
     provenance: &Provenance,
@@ -67,10 +69,9 @@ pub fn write_scans<T, E: From<TableError>>(
     })
 }
 
-/// Takes scans in order and writes them in row groups, encoding several at once.
+/// Writes scans in row groups, in order. Several row groups are encoded in parallel.
 ///
-/// The bytes depend on the scans alone, not on the number of threads or on how the scans were
-/// batched.
+/// The bytes of the file do not depend on the number of threads or on how the scans are batched.
 pub struct ScanWriter<'a> {
     path: &'a Path,
     log: &'a str,
@@ -95,8 +96,9 @@ impl<'a> ScanWriter<'a> {
         let schema = schema();
         let mut builder = properties(Vec::new()).set_max_row_group_row_count(Some(SCANS_PER_GROUP));
         for list in ["x_m", "y_m"] {
-            // Coordinates hardly repeat: no dictionary, no statistics; splitting the bytes of
-            // the floats puts sign and exponent, which do repeat, side by side for zstd.
+            // Coordinates rarely repeat: dictionaries and statistics do not help. Byte stream
+            // split stores the bytes with sign and exponent next to each other. These bytes often
+            // repeat, and zstd compresses them well.
             let leaf = ColumnPath::new(vec![list.into(), "list".into(), "item".into()]);
             builder = builder
                 .set_column_dictionary_enabled(leaf.clone(), false)
@@ -125,22 +127,22 @@ impl<'a> ScanWriter<'a> {
         })
     }
 
-    /// Adds scans after those already given.
+    /// Appends scans.
     pub fn push(&mut self, scans: impl IntoIterator<Item = Scan>) -> Result<()> {
         self.waiting.extend(scans);
-        // Full groups are encoded as soon as there is one for each thread.
+        // Full groups are encoded as soon as there is one per thread.
         if self.waiting.len() >= SCANS_PER_GROUP * rayon::current_num_threads() {
             self.write_groups(self.waiting.len() / SCANS_PER_GROUP * SCANS_PER_GROUP)?;
         }
         Ok(())
     }
 
-    /// Number of scans given so far.
+    /// Number of scans added so far.
     pub fn n_scans(&self) -> u32 {
         self.n_scans + self.waiting.len() as u32
     }
 
-    /// Stores in the provenance of the table what was left out of it, and the remarks about it.
+    /// Sets the losses and the notes in the provenance of the table.
     pub fn set_findings(&mut self, losses: Losses, notes: Vec<Note>) {
         self.losses = losses;
         self.notes = notes;
@@ -219,7 +221,7 @@ fn schema() -> SchemaRef {
     ]))
 }
 
-/// The columns of [`schema`].
+/// The columns of the table, in the order of [`schema`].
 fn columns(log: &str, first_scan: u32, scans: &[Scan]) -> Vec<ArrayRef> {
     let n_returns = scans.iter().map(Scan::len).sum();
     let lists = |values: fn(&Scan) -> &[f32]| -> ArrayRef {
@@ -244,7 +246,7 @@ fn columns(log: &str, first_scan: u32, scans: &[Scan]) -> Vec<ArrayRef> {
     ]
 }
 
-/// Reads what is known of each scan without its points, in order.
+/// Reads the headers of all scans, in order.
 pub fn read_scan_headers(path: &Path) -> Result<(Vec<ScanHeader>, Provenance)> {
     let (builder, provenance) = open_table(path, "scans")?;
     let mask = ProjectionMask::columns(
@@ -268,7 +270,7 @@ pub fn read_scan_headers(path: &Path) -> Result<(Vec<ScanHeader>, Provenance)> {
                 return Err(TableError::Row {
                     path: path.to_owned(),
                     row: headers.len(),
-                    detail: format!("scan {}, expected the row's own number", scans.value(row)),
+                    detail: format!("scan {}, expected the number of the row", scans.value(row)),
                 });
             }
             headers.push(ScanHeader {
@@ -281,7 +283,8 @@ pub fn read_scan_headers(path: &Path) -> Result<(Vec<ScanHeader>, Provenance)> {
     Ok((headers, provenance))
 }
 
-/// Reads the given scans (ascending, unique numbers), handing them on a batch at a time.
+/// Reads the given scans and passes them to `take` in batches. The numbers must be strictly
+/// ascending.
 pub fn read_scans<E: From<TableError>>(
     path: &Path,
     scans: &[u32],
@@ -302,7 +305,7 @@ pub fn read_scans<E: From<TableError>>(
     Ok(())
 }
 
-/// Skips and selects rows so that just `scans` remain.
+/// The row selection that selects only `scans`.
 fn row_selection(path: &Path, scans: &[u32], n_rows: usize) -> Result<RowSelection> {
     let mut selectors = Vec::with_capacity(2 * scans.len());
     let mut next = 0;
@@ -312,7 +315,7 @@ fn row_selection(path: &Path, scans: &[u32], n_rows: usize) -> Result<RowSelecti
             return Err(TableError::Row {
                 path: path.to_owned(),
                 row: scan,
-                detail: format!("asked for out of order or beyond the table's {n_rows} rows"),
+                detail: format!("requested out of order, or the table has only {n_rows} rows"),
             });
         }
         selectors.push(RowSelector::skip(scan - next));
@@ -345,7 +348,7 @@ fn scans_of(path: &Path, batch: &RecordBatch) -> Result<Vec<Scan>> {
                 return Err(TableError::Row {
                     path: path.to_owned(),
                     row,
-                    detail: format!("{} x_m but {} y_m", x_m.len(), y_m.len()),
+                    detail: format!("{} values in `x_m`, {} in `y_m`", x_m.len(), y_m.len()),
                 });
             }
             Ok(Scan {

@@ -1,5 +1,5 @@
-//! The tables between `train` and `evaluate`: cross-validated confidences, and what each round
-//! chose.
+//! The tables that `train` writes and `evaluate` reads: cross-validated confidences and rounds of
+//! boosting.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -15,8 +15,8 @@ use super::types::{batch, strings};
 use super::{Provenance, Result, TableError, read_table, write_table};
 use crate::{BoostingRound, HeldOut, Keyframe, Pair, Scores};
 
-/// Writes `scores.parquet`: a row for each learner, grouping and pair, the pairs in the order of
-/// `pairs.parquet`.
+/// Writes `scores.parquet`: one row per learner, grouping and pair. The pairs have the same order
+/// as in `pairs.parquet`.
 pub fn write_scores(
     path: &Path,
     provenance: &Provenance,
@@ -57,7 +57,7 @@ pub fn write_scores(
     write_table(path, "scores", provenance, &batch(columns, &[]))
 }
 
-/// Reads `scores.parquet`, whose rows must be those of `pairs`.
+/// Reads `scores.parquet`. Its rows must match `pairs`.
 pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenance)> {
     let (table, provenance) = read_table(path, "scores")?;
     let columns = Columns::new(path, &table);
@@ -81,7 +81,7 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
         detail: detail.to_owned(),
     };
     if pairs.is_empty() || table.num_rows() % pairs.len() != 0 {
-        return Err(row_error(table.num_rows(), "the table does not have a row for each pair"));
+        return Err(row_error(table.num_rows(), "the table does not have one row per pair"));
     }
     let mut scores = Vec::new();
     for start in (0..table.num_rows()).step_by(pairs.len()) {
@@ -102,7 +102,7 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
                 || values.len() != n_rounds
                 || n_rounds == 0
             {
-                return Err(row_error(row, "not the row of a pair of pairs.parquet"));
+                return Err(row_error(row, "does not match the pair in pairs.parquet"));
             }
             block.groups.push([group_a.value(row), group_b.value(row)]);
             block.folds.push([fold_a.value(row), fold_b.value(row)]);

@@ -1,4 +1,4 @@
-//! The tables that fit in memory: poses, keyframes, pairs, features.
+//! The tables that are read and written as a whole: poses, keyframes, pairs, features.
 
 use std::collections::{BTreeSet, HashMap};
 use std::path::Path;
@@ -15,10 +15,10 @@ use super::columns::Columns;
 use super::{Provenance, Result, TableError, read_table, write_table};
 use crate::{Keyframe, Label, Pair, Pose2, ScanId, StampedPose, Trajectory};
 
-/// A batch of named columns of one length; those named in `nullable` may hold nulls.
+/// A batch of named columns of the same length. The columns listed in `nullable` can contain nulls.
 ///
 /// # Panics
-/// If the columns differ in length, or one that is not named in `nullable` holds a null.
+/// If the columns differ in length, or if a column that is not in `nullable` contains a null.
 pub fn batch(columns: Vec<(&str, ArrayRef)>, nullable: &[&str]) -> RecordBatch {
     let fields: Vec<Field> = columns
         .iter()
@@ -26,24 +26,24 @@ pub fn batch(columns: Vec<(&str, ArrayRef)>, nullable: &[&str]) -> RecordBatch {
         .collect();
     let arrays = columns.into_iter().map(|(_, array)| array).collect();
     RecordBatch::try_new(Arc::new(Schema::new(fields)), arrays)
-        .expect("columns are of one length and without stray nulls")
+        .expect("columns have the same length and no unexpected nulls")
 }
 
-/// A column of texts.
+/// A column of strings.
 pub fn strings<'a>(values: impl Iterator<Item = &'a str>) -> ArrayRef {
     Arc::new(values.map(Some).collect::<StringArray>())
 }
 
-/// A column of numbers.
+/// A column of f64.
 pub fn floats(values: impl Iterator<Item = f64>) -> ArrayRef {
     Arc::new(Float64Array::from_iter_values(values))
 }
 
-/// Columns of the covariance of a pose; null where it is not known.
+/// Columns of the covariance of a pose. They are null if the covariance is not known.
 const COVARIANCE: [&str; 6] = ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh"];
 
-/// Writes `poses/<log>.parquet`: stamp, pose, and the upper triangle of the covariance of x, y and
-/// heading \[m^2, m rad, rad^2\].
+/// Writes `poses/<log>.parquet`: the stamp, the pose, and the upper triangle of the covariance of
+/// x, y and heading \[m^2, m rad, rad^2\].
 pub fn write_poses(
     path: &Path,
     provenance: &Provenance,
@@ -181,7 +181,7 @@ pub fn write_pairs(
     write_table(path, "pairs", provenance, &batch(columns, &["heading_difference_rad"]))
 }
 
-/// Reads `pairs.parquet`, resolving scans to indices of `keyframes`.
+/// Reads `pairs.parquet` and converts the scans to indices of `keyframes`.
 pub fn read_pairs(path: &Path, keyframes: &[Keyframe]) -> Result<(Vec<Pair>, Provenance)> {
     let (batch, provenance) = read_table(path, "pairs")?;
     let columns = Columns::new(path, &batch);
@@ -222,10 +222,10 @@ pub fn read_pairs(path: &Path, keyframes: &[Keyframe]) -> Result<(Vec<Pair>, Pro
     Ok((pairs, provenance))
 }
 
-/// The features of keyframes, row by row.
+/// The features of keyframes, one row per keyframe.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FeatureTable {
-    /// Column names, `(n_features,)`.
+    /// Names of the features, `(n_features,)`.
     pub names: Vec<String>,
     /// The keyframe of each row, `(n_rows,)`.
     pub ids: Vec<ScanId>,
@@ -274,7 +274,7 @@ pub fn read_features(path: &Path) -> Result<(FeatureTable, Provenance)> {
     Ok((FeatureTable { names, ids, values }, provenance))
 }
 
-/// Reads the two columns that name a scan.
+/// Reads the two columns that identify a scan.
 pub(super) fn scan_ids(columns: &Columns<'_>, log: &str, scan: &str) -> Result<Vec<ScanId>> {
     let logs = columns.strings(log)?;
     let scans = columns.numbers::<UInt32Type>(scan)?;
@@ -284,7 +284,7 @@ pub(super) fn scan_ids(columns: &Columns<'_>, log: &str, scan: &str) -> Result<V
         .collect())
 }
 
-/// Shares one allocation between equal names.
+/// Stores each distinct name once and shares the allocation.
 #[derive(Default)]
 struct Names(BTreeSet<Arc<str>>);
 

@@ -1,5 +1,5 @@
-//! The tables about the usefulness of features: `featurize` measures how stable they are, `train` how
-//! well each one ranks the pairs and how often the models chose it.
+//! The tables about the usefulness of features. `featurize` measures how stable each feature is.
+//! `train` measures how well each feature ranks the pairs and how often the models use it.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -12,8 +12,8 @@ use super::types::{batch, floats, strings};
 use super::{Provenance, Result, read_table, write_table};
 use crate::FeatureUsefulness;
 
-/// Writes `feature_stability.parquet`: how stable each feature is when scans lose every other
-/// return, `(n_features,)`.
+/// Writes `feature_stability.parquet`: the change of each feature if every other return of the
+/// scans is removed, `(n_features,)`.
 pub fn write_feature_stability(
     path: &Path,
     provenance: &Provenance,
@@ -27,7 +27,7 @@ pub fn write_feature_stability(
     write_table(path, "feature_stability", provenance, &batch(columns, &[]))
 }
 
-/// Reads `feature_stability.parquet`, whose rows must be the features of these names.
+/// Reads `feature_stability.parquet`. Its rows must be the features with these names, in order.
 pub fn read_feature_stability(path: &Path, names: &[String]) -> Result<(Vec<f64>, Provenance)> {
     let (table, provenance) = read_table(path, "feature_stability")?;
     let columns = Columns::new(path, &table);
