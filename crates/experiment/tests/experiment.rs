@@ -127,7 +127,7 @@ fn a_grouping_without_training_pairs_is_left_out_or_an_error() {
     road.options.groupings = vec![Grouping::Pair, Grouping::Log];
     let validation = road.cross_validate().unwrap();
     assert_eq!(validation.groupings.len(), 1);
-    let reason = "grouping `log`: with folds 0 and 1 held out, 0 positive and 0 negative pairs";
+    let reason = "cannot evaluate grouping `log`: with folds 0 and 1 held out, 0 positive and 0 negative pairs";
     let not_evaluated = &validation.not_evaluated[0];
     assert_eq!(not_evaluated.grouping, Grouping::Log);
     assert!(not_evaluated.to_string().starts_with(reason), "{not_evaluated}");
