@@ -515,8 +515,21 @@ fn check_scans(scans: &ScanSpec) -> Result<(), String> {
     Ok(())
 }
 
-/// Checks that rates are between 0 and 1 and that thresholds are finite.
+/// Checks that warnings have a code and a count, that rates are between 0 and 1, and that thresholds
+/// are finite.
 fn check_evidence(file: &ModelFile) -> Result<(), String> {
+    let is_code = |code: &str| {
+        !code.is_empty()
+            && code.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+    };
+    for (code, &n) in &file.training.warnings {
+        if !is_code(code) {
+            return Err(format!("training.warnings: `{code}`, expected a snake_case code"));
+        }
+        if n == 0 {
+            return Err(format!("training.warnings.{code}: 0, expected 1 or more"));
+        }
+    }
     let rate = |name: &str, value: f64| match (0.0..=1.0).contains(&value) {
         true => Ok(()),
         false => Err(format!("{name}: {value}, expected 0 to 1")),
