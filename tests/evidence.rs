@@ -167,9 +167,13 @@ fn the_grid_samples_pairs_by_other_rules() {
         .iter()
         .find(|c| c.learner == "discrete" && c.positive_radius_m > 1.2 && c.negative_min_m < 40.0);
     let own = own.unwrap().error.clone().unwrap();
-    let line = format!("discrete by place: error {:.1} % at T = 10", own * 100.0);
+    let line = format!("discrete by place: error {:.1} % after round 10", own * 100.0);
     assert!(finished.stdout.contains(&line), "{line}\n{}", finished.stdout);
-    assert!(!finished.stdout.contains("at T = 10, "), "T is printed once:\n{}", finished.stdout);
+    assert!(
+        !finished.stdout.contains("after round 10, "),
+        "the round is printed once:\n{}",
+        finished.stdout
+    );
     // Only pairs of two logs are revisits: there is no path between their scans.
     for cell in cells.iter().filter(|c| c.min_travel_gap_m > 0.0) {
         match &cell.error {

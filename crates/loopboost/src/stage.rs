@@ -67,14 +67,14 @@ impl Stage {
         match self {
             Self::Simulate => Spec {
                 name: "simulate",
-                help: "Simulate the drives of the [simulate] section: -> logs/LOG.mcap",
+                help: "Simulate the drives of the [simulate] section -> logs/LOG.mcap",
                 inputs: &[],
                 outputs: &[A::Log],
                 options: |config, _| Ok(to_value(&config.simulate)?),
             },
             Self::Ingest => Spec {
                 name: "ingest",
-                help: "Read the logs: -> scans/LOG.parquet, poses/LOG.parquet",
+                help: "Read the logs -> scans/LOG.parquet, poses/LOG.parquet",
                 inputs: &[A::Log],
                 outputs: &[A::Scans, A::Poses],
                 // The site is an option of `subsample`.

@@ -84,13 +84,13 @@ impl fmt::Display for Summary {
                     .iter()
                     .map(|of| format!("{:.1} % by {}", of.error * 100.0, of.grouping))
                     .collect();
-                write!(f, "{model} {version}: error {} at T = {rounds}", errors.join(", "))
+                write!(f, "{model} {version}: error {} after round {rounds}", errors.join(", "))
             }
             Self::Evaluated { learner, grouping, errors } => {
                 let errors: Vec<String> = errors
                     .iter()
                     .map(|of| match of.rounds {
-                        Some(rounds) => format!("{:.1} % at T = {rounds}", of.error * 100.0),
+                        Some(rounds) => format!("{:.1} % after round {rounds}", of.error * 100.0),
                         None => format!("{:.1} %", of.error * 100.0),
                     })
                     .collect();

@@ -89,7 +89,7 @@ fn write_results(card: &mut String, measured: &[Measured], training: &Training) 
     )?;
     writeln!(
         card,
-        "| grouping | folds | T | error | precision | recall |\n|---|---|---|---|---|---|"
+        "| grouping | folds | rounds | error | precision | recall |\n|---|---|---|---|---|---|"
     )?;
     let n_pairs = training.n_positive + training.n_negative;
     for row in measured {

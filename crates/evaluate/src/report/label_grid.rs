@@ -16,7 +16,7 @@ pub(super) fn section(input: &Input<'_>, figures: &[Figure]) -> Markup {
         section {
             h2 { "Other label rules" }
             p {
-                "The label rules decide which pairs are matches and which are non-matches, and so how hard the task is. "
+                "The label rules decide which pairs are matches and which are non-matches, and therefore how hard the task is. "
                 "For each cell, the same number of pairs is sampled again under the cell\u{2019}s rules and cross-validated by "
                 (first.grouping) ". Cells show the error in per cent."
             }
