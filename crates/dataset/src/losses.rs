@@ -292,8 +292,6 @@ codes! {
             => "datagram{s} to the data port without the layout of a Velodyne data packet (1206 bytes, starting with 0xeeff)";
         /// A packet of a sensor that was not selected.
         Info "packets_of_other_sensors" PacketsOfOtherSensors => "packet{s} of other sensors";
-        /// A position packet with a fix.
-        Info "positions_with_fix" PositionsWithFix => "position packet{s} with a fix";
         /// A position packet without a fix.
         Info "positions_without_fix" PositionsWithoutFix => "position packet{s} without a fix";
         /// A position packet whose sentence is damaged.

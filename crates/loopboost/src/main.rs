@@ -81,5 +81,8 @@ fn main() -> ExitCode {
 fn hint(error: &anyhow::Error) -> Option<String> {
     let error = error.chain().find_map(|cause| cause.downcast_ref::<TableError>())?;
     let stage = Artifact::maker_of_path(error.path())?;
-    error.is_cured_by_making_it_again().then(|| format!("create it with `{}`", stage.command()))
+    let again = if matches!(error, TableError::Missing { .. }) { "" } else { " again" };
+    error
+        .is_cured_by_making_it_again()
+        .then(|| format!("create it{again} with `{}`", stage.command()))
 }

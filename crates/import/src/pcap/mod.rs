@@ -156,7 +156,6 @@ impl Capture {
     fn push_position(&mut self, stamp_ns: i64, payload: &[u8], losses: &mut Losses) {
         match position::of_packet(payload) {
             Position::Fix(fix) => {
-                losses.add(self.loss(LossKind::PositionsWithFix), 1);
                 let body = Body::Fix(fix);
                 self.ready.push_back(Record { topic: Topic::Fix, stamp_ns, body });
             }
