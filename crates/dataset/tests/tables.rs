@@ -9,9 +9,10 @@ use std::path::Path;
 use dataset::tables::scans::{read_scan_headers, read_scans, write_scans};
 use dataset::tables::{
     FeatureTable, Provenance, TableError, read_feature_stability, read_feature_usefulness,
-    read_features, read_grid, read_keyframes, read_pairs, read_poses, read_retrieval, read_rounds,
-    read_scores, write_feature_stability, write_feature_usefulness, write_features, write_grid,
-    write_keyframes, write_pairs, write_poses, write_retrieval, write_rounds, write_scores,
+    read_features, read_grid, read_keyframes, read_pairs, read_poses, read_provenance,
+    read_retrieval, read_rounds, read_scores, write_feature_stability, write_feature_usefulness,
+    write_features, write_grid, write_keyframes, write_pairs, write_poses, write_retrieval,
+    write_rounds, write_scores,
 };
 use dataset::{
     BoostingRound, FeatureUsefulness, GridCell, HeldOut, Keyframe, Label, Pair, Pose2, Retrieval,
@@ -337,6 +338,11 @@ fn an_error_about_the_format_version_names_both_versions() {
         parquet::arrow::ArrowWriter::try_new(file, batch.schema(), Some(properties)).unwrap();
     writer.write(&batch).unwrap();
     writer.close().unwrap();
-    let message = read_pairs(&path, &[]).unwrap_err().to_string();
-    assert!(message.contains("format version 99, this program reads version 4"), "{message}");
+    let of_rows = read_pairs(&path, &[]).unwrap_err();
+    // Also where only the provenance is read, whose layout depends on the version.
+    let of_provenance = read_provenance(&path).unwrap_err();
+    for error in [of_rows, of_provenance] {
+        let message = error.to_string();
+        assert!(message.contains("format version 99, this program reads version 4"), "{message}");
+    }
 }

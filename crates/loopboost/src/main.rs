@@ -82,7 +82,5 @@ fn hint(error: &anyhow::Error) -> Option<String> {
     let error = error.chain().find_map(|cause| cause.downcast_ref::<TableError>())?;
     let stage = Artifact::maker_of_path(error.path())?;
     let again = if matches!(error, TableError::Missing { .. }) { "" } else { " again" };
-    error
-        .is_cured_by_making_it_again()
-        .then(|| format!("create it{again} with `{}`", stage.command()))
+    error.is_fixed_by_rebuilding().then(|| format!("create it{again} with `{}`", stage.command()))
 }

@@ -136,8 +136,11 @@ pub(super) fn write_error(path: &Path, error: parquet::errors::ParquetError) -> 
     TableError::Io { action: "write", path: path.to_owned(), source }
 }
 
-pub(super) fn unreadable(path: &Path, error: impl std::fmt::Display) -> TableError {
-    TableError::Unreadable { path: path.to_owned(), detail: error.to_string() }
+pub(super) fn unreadable(
+    path: &Path,
+    source: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+) -> TableError {
+    TableError::Unreadable { path: path.to_owned(), source: source.into() }
 }
 
 fn read_error(path: &Path, source: std::io::Error) -> TableError {
@@ -153,11 +156,31 @@ pub fn read_provenance(path: &Path) -> Result<(String, Provenance)> {
     let file = File::open(path).map_err(|source| read_error(path, source))?;
     let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
         .map_err(|e| unreadable(path, e))?;
-    let entries = metadata.metadata().file_metadata().key_value_metadata();
-    Provenance::from_entries(|key| entries?.iter().find(|entry| entry.key == key)?.value.clone())
-        .ok_or_else(|| {
-            unreadable(path, "the provenance metadata of loopboost is missing or incomplete")
-        })
+    let get = |key: &str| value_of(&metadata, key);
+    // A table without a version is not a table of loopboost.
+    if let Some(found) = get("loopboost.format_version") {
+        check_version(path, Some(found))?;
+    }
+    Provenance::from_entries(get).ok_or_else(|| {
+        unreadable(path, "the provenance metadata of loopboost is missing or incomplete")
+    })
+}
+
+/// The value of a key in the metadata of a table.
+fn value_of(metadata: &ArrowReaderMetadata, key: &str) -> Option<String> {
+    let entries = metadata.metadata().file_metadata().key_value_metadata()?;
+    entries.iter().find(|entry| entry.key == key)?.value.clone()
+}
+
+fn check_version(path: &Path, found: Option<String>) -> Result<()> {
+    if found.as_deref() == Some(&*FORMAT_VERSION.to_string()) {
+        return Ok(());
+    }
+    Err(TableError::Version {
+        path: path.to_owned(),
+        found: found.unwrap_or_else(|| "none".to_owned()),
+        expected: FORMAT_VERSION,
+    })
 }
 
 /// Opens a table and checks its kind and its format version.
@@ -169,11 +192,7 @@ pub(super) fn open_table(
     let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
         .map_err(|e| unreadable(path, e))?;
     let provenance = {
-        let entries = metadata.metadata().file_metadata().key_value_metadata();
-        let get = |key: &str| {
-            let key = format!("loopboost.{key}");
-            entries?.iter().find(|entry| entry.key == key)?.value.clone()
-        };
+        let get = |key: &str| value_of(&metadata, &format!("loopboost.{key}"));
         match get("kind") {
             Some(found) if found == kind => {}
             found => {
@@ -186,16 +205,7 @@ pub(super) fn open_table(
                 });
             }
         }
-        match get("format_version") {
-            Some(found) if found == FORMAT_VERSION.to_string() => {}
-            found => {
-                return Err(TableError::Version {
-                    path: path.to_owned(),
-                    found: found.unwrap_or_else(|| "none".to_owned()),
-                    expected: FORMAT_VERSION,
-                });
-            }
-        }
+        check_version(path, get("format_version"))?;
         Provenance::from_metadata(get)
             .ok_or_else(|| unreadable(path, "the provenance metadata is incomplete"))?
     };

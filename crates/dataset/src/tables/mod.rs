@@ -70,12 +70,12 @@ pub enum TableError {
         source: std::io::Error,
     },
     /// The file is not a Parquet table, or it is damaged.
-    #[error("{path} is not a readable Parquet table: {detail}")]
+    #[error("{path} is not a readable Parquet table")]
     Unreadable {
-        /// Path of the file.
+        /// The file.
         path: PathBuf,
-        /// The message of the decoder.
-        detail: String,
+        /// What the decoder reports, or what is missing.
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// The Parquet file was not written by loopboost, or it is a table of another kind.
     #[error("{path} is {found}, expected a loopboost table of kind `{expected}`")]
@@ -136,7 +136,7 @@ impl TableError {
     }
 
     /// Whether writing the table again fixes the error.
-    pub fn is_cured_by_making_it_again(&self) -> bool {
+    pub fn is_fixed_by_rebuilding(&self) -> bool {
         !matches!(self, Self::Io { .. })
     }
 }
