@@ -24,7 +24,7 @@ pub(crate) struct InspectArgs {
     /// Draw the path from the suggested pipeline: poses, their uncertainty, and keyframes
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
-    /// Fuse wheel odometry and IMU with this track width [m], even if the log has poses
+    /// Fuse wheel odometry and IMU with this track width in metres, even if the log has poses
     #[arg(long, value_name = "METRES")]
     track_m: Option<f64>,
     /// Print the result as JSON

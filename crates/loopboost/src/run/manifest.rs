@@ -27,6 +27,12 @@ pub(crate) struct Manifest {
     pub(crate) tasks: BTreeMap<String, Record>,
 }
 
+/// The part of `run.json` that every version has.
+#[derive(Deserialize)]
+struct Versioned {
+    format_version: u32,
+}
+
 /// A task that was done.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -61,17 +67,17 @@ impl Manifest {
         let text = std::fs::read(&path).map_err(|e| {
             anyhow!("{} is not a run folder: cannot read run.json: {e}", folder.display())
         })?;
-        let manifest: Self = serde_json::from_slice(&text).map_err(|e| {
-            anyhow!("{} is damaged: {e}; `loopboost run` writes a new one", path.display())
-        })?;
-        if manifest.format_version != FORMAT_VERSION {
+        let damaged =
+            |e| anyhow!("{} is damaged: {e}; `loopboost run` writes a new one", path.display());
+        // The version first: the layout of another version may not be readable.
+        let Versioned { format_version } = serde_json::from_slice(&text).map_err(damaged)?;
+        if format_version != FORMAT_VERSION {
             return Err(anyhow!(
-                "{} has format version {}, this program reads version {FORMAT_VERSION}; `loopboost run` writes a new one",
-                path.display(),
-                manifest.format_version
+                "{} has format version {format_version}, this program reads version {FORMAT_VERSION}; `loopboost run` writes a new one",
+                path.display()
             ));
         }
-        Ok(manifest)
+        serde_json::from_slice(&text).map_err(damaged)
     }
 
     pub(super) fn save(&mut self, folder: &Path) -> Result<()> {
@@ -143,5 +149,23 @@ fn option_changes(
         }
         (before, now) if before != now => changes.push(format!("{key}: {before} -> {now}")),
         _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_error_for_another_version_states_both_versions() {
+        let folder = tempfile::tempdir().unwrap();
+        let load = |text: &str| {
+            std::fs::write(Manifest::path(folder.path()), text).unwrap();
+            Manifest::load_existing(folder.path()).unwrap_err().to_string()
+        };
+        let message = load(r#"{"format_version": 2, "tasks": {"label": {"dropped": {}}}}"#);
+        assert!(message.contains("format version 2, this program reads version 3"), "{message}");
+        assert!(load("{").contains("is damaged"));
+        assert!(load(r#"{"format_version": 3, "tasks": []}"#).contains("is damaged"));
     }
 }
