@@ -63,6 +63,9 @@ fn an_unreadable_log_is_named_and_the_others_are_ingested() {
     // Later stages work without it, in the same run and in the next one.
     workplace.command("subsample", "batch", &[]).expect(0);
     workplace.command("ingest", "batch", &[]).expect(3);
+    // A removed log is no longer reported.
+    fs::remove_file(workplace.path("logs/bag.mcap")).unwrap();
+    workplace.command("ingest", "batch", &[]).expect(0);
     // A repaired log takes part again.
     fs::copy(workplace.path("logs/one.mcap"), workplace.path("logs/bag.mcap")).unwrap();
     workplace.command("ingest", "batch", &[]).expect(0);

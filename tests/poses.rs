@@ -4,7 +4,7 @@ use std::fs;
 
 use dataset::tables::read_poses;
 
-use crate::support::{Workplace, loopboost, root};
+use crate::support::{Workplace, drift, loopboost, root};
 
 const DRIVE: &str = r#"
 seed = 7
@@ -30,15 +30,7 @@ fn poses_fused_from_simulated_wheels_and_imu_stay_near_the_truth() {
     let truth = poses("pose.topic = \"/ground_truth\"");
     let fused = poses("pose = { wheels = \"/wheel_states\", imu = \"/imu/data\", track_m = 0.5 }");
     assert!(fused.poses().iter().all(|pose| pose.covariance.is_some()));
-    let both: Vec<_> = truth
-        .poses()
-        .iter()
-        .filter_map(|t| Some((t.pose, fused.pose_at(t.stamp_ns, 100_000_000).ok()?)))
-        .collect();
-    let (first, last) = (both[0], both[both.len() - 1]);
-    let map_from_fused = first.0 * first.1.inverse();
-    let drift_m = (map_from_fused * last.1).distance_m(&last.0);
-    let path_m: f64 = both.windows(2).map(|pair| pair[0].0.distance_m(&pair[1].0)).sum();
+    let (drift_m, path_m) = drift(&truth, &fused);
     assert!(190.0 < path_m && drift_m < 0.005 * path_m, "{drift_m:.2} m of {path_m:.0} m");
 }
 

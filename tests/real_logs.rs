@@ -11,7 +11,7 @@ use dataset::tables::{read_keyframes, read_pairs};
 use dataset::{Label, Scan, StampedPose, Trajectory};
 
 use crate::require::{python_with, shared_data};
-use crate::support::{Workplace, loopboost_with_threads, root};
+use crate::support::{Workplace, drift, loopboost_with_threads, root};
 
 /// Real paths through real floor plans, seen by a simulated HDL-32E.
 pub const DRIVES: [&str; 3] =
@@ -182,15 +182,7 @@ fn poses_fused_from_wheels_and_imu_stay_near_the_truth() {
         let fused = dataset::tables::read_poses(&table).unwrap().0;
         assert!(fused.poses().iter().all(|pose| pose.covariance.is_some()));
         let truth = ground_truth(&path);
-        let both: Vec<_> = truth
-            .poses()
-            .iter()
-            .filter_map(|t| Some((t.pose, fused.pose_at(t.stamp_ns, 100_000_000).ok()?)))
-            .collect();
-        let (first, last) = (both[0], both[both.len() - 1]);
-        let map_from_fused = first.0 * first.1.inverse();
-        let drift_m = (map_from_fused * last.1).distance_m(&last.0);
-        let path_m: f64 = both.windows(2).map(|pair| pair[0].0.distance_m(&pair[1].0)).sum();
+        let (drift_m, path_m) = drift(&truth, &fused);
         assert!(drift_m < most * path_m, "{log}: {drift_m:.2} m of {path_m:.0} m");
     }
 }

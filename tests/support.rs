@@ -5,6 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use dataset::Trajectory;
+
 /// The root of the repository.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
@@ -105,4 +107,19 @@ impl Finished {
         }
         self
     }
+}
+
+/// The distance between the last poses, if the first ones are laid over each other, and the length
+/// of the true path, both \[m\].
+pub fn drift(truth: &Trajectory, fused: &Trajectory) -> (f64, f64) {
+    let both: Vec<_> = truth
+        .poses()
+        .iter()
+        .filter_map(|t| Some((t.pose, fused.pose_at(t.stamp_ns, 100_000_000).ok()?)))
+        .collect();
+    let (first, last) = (both[0], both[both.len() - 1]);
+    let map_from_fused = first.0 * first.1.inverse();
+    let drift_m = (map_from_fused * last.1).distance_m(&last.0);
+    let path_m = both.windows(2).map(|pair| pair[0].0.distance_m(&pair[1].0)).sum();
+    (drift_m, path_m)
 }

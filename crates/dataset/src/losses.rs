@@ -5,8 +5,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::Subject;
 use crate::codes::codes;
-use crate::{Severity, Subject};
 
 codes! {
     /// The kinds of data that are left out. `docs/messages.md` gives meaning, usual cause and
@@ -418,9 +418,35 @@ impl Losses {
         self.0.values().sum()
     }
 
-    /// The highest severity; none where nothing was left out.
-    pub fn severity(&self) -> Option<Severity> {
-        self.iter().map(|(loss, _)| loss.kind.severity()).max()
+    /// The sentences, with their kinds. A loss of several logs gives one sentence, which names the
+    /// first of them.
+    ///
+    /// ```
+    /// use dataset::{Loss, LossKind, Losses, Subject};
+    ///
+    /// let mut losses = Losses::default();
+    /// losses.add(Loss::new(LossKind::DuplicatePackets, Subject::log("monday")), 3);
+    /// losses.add(Loss::new(LossKind::DuplicatePackets, Subject::log("tuesday")), 4);
+    /// let (_, sentence) = &losses.sentences()[0];
+    /// assert_eq!(sentence, "7 duplicate packets in 2 logs (`monday`, `tuesday`)");
+    /// ```
+    pub fn sentences(&self) -> Vec<(LossKind, String)> {
+        let mut over_logs: BTreeMap<Loss, (u64, Vec<&str>)> = BTreeMap::new();
+        for (loss, n) in self.iter() {
+            let subject = Subject { log: None, ..loss.subject.clone() };
+            let (total, logs) = over_logs.entry(Loss::new(loss.kind.clone(), subject)).or_default();
+            *total += n;
+            logs.extend(loss.subject.log.as_deref());
+        }
+        let sentence = |(loss, (n, logs)): (Loss, (u64, Vec<&str>))| {
+            let sentence = match logs.as_slice() {
+                [] => loss.sentence(n),
+                [log] => Loss::new(loss.kind.clone(), loss.subject.in_log(*log)).sentence(n),
+                logs => format!("{} in {}", loss.sentence(n), named(logs)),
+            };
+            (loss.kind, sentence)
+        };
+        over_logs.into_iter().map(sentence).collect()
     }
 
     /// The same losses, all of one log.
@@ -443,6 +469,16 @@ impl Losses {
         }
         losses
     }
+}
+
+/// Logs that are named in a sentence.
+const MAX_NAMED: usize = 3;
+
+/// ``5 logs (`a`, `b`, `c`, ...)``
+fn named(logs: &[&str]) -> String {
+    let names: Vec<String> = logs.iter().take(MAX_NAMED).map(|log| format!("`{log}`")).collect();
+    let more = if MAX_NAMED < logs.len() { ", ..." } else { "" };
+    format!("{} logs ({}{more})", logs.len(), names.join(", "))
 }
 
 /// The sentences, separated by commas.
@@ -515,17 +551,5 @@ mod tests {
         codes.sort_unstable();
         codes.dedup();
         assert_eq!(codes.len(), n);
-    }
-
-    #[test]
-    fn the_severity_is_the_highest_of_all() {
-        let mut losses = Losses::default();
-        assert_eq!(losses.severity(), None);
-        losses.add(LossKind::DatagramsToOtherPorts, 5);
-        assert_eq!(losses.severity(), Some(Severity::Info));
-        losses.add(LossKind::DuplicatePackets, 0);
-        assert_eq!(losses.severity(), Some(Severity::Info));
-        losses.add(LossKind::DuplicatePackets, 1);
-        assert_eq!(losses.severity(), Some(Severity::Warning));
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use dataset::{Loss, Losses, Note, Severity, Subject};
+use dataset::{LossKind, Losses, Note, Severity};
 
 /// Losses and notes of a command.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -11,8 +11,8 @@ pub(crate) struct Findings {
     pub(crate) notes: Vec<Note>,
 }
 
-/// Logs that are named in one line, and lines that are printed per code of a note.
-const MAX_NAMED: usize = 3;
+/// Lines that are printed per code of a note.
+const MAX_LINES_PER_CODE: usize = 3;
 
 impl Findings {
     pub(crate) fn merge(&mut self, other: Self) {
@@ -48,27 +48,19 @@ impl Findings {
         lines.into_iter().map(|(_, line)| line).collect()
     }
 
+    /// The number of warnings: a loss of several logs is one, and every note is one.
+    pub(crate) fn n_warnings(&self) -> usize {
+        let losses = self.losses.sentences().into_iter().map(|(kind, _)| kind.severity());
+        let severities = losses.chain(self.notes.iter().map(Note::severity));
+        severities.filter(|severity| Severity::Warning <= *severity).count()
+    }
+
     fn loss_lines(&self) -> Vec<(Severity, String)> {
-        let mut by_kind: BTreeMap<Loss, (u64, Vec<&str>)> = BTreeMap::new();
-        for (loss, n) in self.losses.iter() {
-            let of_all_logs = Loss {
-                kind: loss.kind.clone(),
-                subject: Subject { log: None, ..loss.subject.clone() },
-            };
-            let (total, logs) = by_kind.entry(of_all_logs).or_default();
-            *total += n;
-            logs.extend(loss.subject.log.as_deref());
-        }
-        let line = |(loss, (n, logs)): (Loss, (u64, Vec<&str>))| {
-            let (severity, code) = (loss.kind.severity(), loss.kind.code());
-            let sentence = match logs.as_slice() {
-                [] => loss.sentence(n),
-                [log] => Loss::new(loss.kind, loss.subject.in_log(*log)).sentence(n),
-                logs => format!("{} in {}", loss.sentence(n), named(logs)),
-            };
+        let line = |(kind, sentence): (LossKind, String)| {
+            let (severity, code) = (kind.severity(), kind.code());
             (severity, format!("{severity}[{code}]: {sentence}"))
         };
-        by_kind.into_iter().map(line).collect()
+        self.losses.sentences().into_iter().map(line).collect()
     }
 
     fn note_lines(&self) -> Vec<(Severity, String)> {
@@ -78,12 +70,12 @@ impl Findings {
             let (severity, code) = (note.severity(), note.code());
             let n = n_by_code.entry(code).or_default();
             *n += 1;
-            if *n <= MAX_NAMED {
+            if *n <= MAX_LINES_PER_CODE {
                 lines.push((severity, format!("{severity}[{code}]: {note}")));
             }
         }
         for (code, n) in n_by_code {
-            let more = n.saturating_sub(MAX_NAMED);
+            let more = n.saturating_sub(MAX_LINES_PER_CODE);
             if let Some(note) = self.notes.iter().find(|note| note.code() == code && 0 < more) {
                 let severity = note.severity();
                 lines.push((
@@ -96,13 +88,6 @@ impl Findings {
     }
 }
 
-/// "5 logs (`a`, `b`, `c`, ...)"
-fn named(logs: &[&str]) -> String {
-    let names: Vec<String> = logs.iter().take(MAX_NAMED).map(|log| format!("`{log}`")).collect();
-    let more = if MAX_NAMED < logs.len() { ", ..." } else { "" };
-    format!("{} logs ({}{more})", logs.len(), names.join(", "))
-}
-
 impl From<Losses> for Findings {
     fn from(losses: Losses) -> Self {
         Self { losses, notes: Vec::new() }
@@ -111,7 +96,7 @@ impl From<Losses> for Findings {
 
 #[cfg(test)]
 mod tests {
-    use dataset::{LossKind, NoteKind};
+    use dataset::{Loss, NoteKind, Subject};
 
     use super::*;
 
@@ -142,6 +127,7 @@ mod tests {
         for (line, start) in lines.iter().zip(starts) {
             assert!(line.starts_with(start), "{line}");
         }
+        assert_eq!(findings.n_warnings(), 2);
         let warnings = findings.warnings();
         let expected = [("duplicate_packets".to_owned(), 8), ("stamp_steps".to_owned(), 1)].into();
         assert_eq!(warnings, expected);

@@ -57,7 +57,7 @@ fn main() -> ExitCode {
             for line in findings.lines() {
                 eprintln!("{line}");
             }
-            match findings.warnings().len() {
+            match findings.n_warnings() {
                 0 => DONE,
                 n => {
                     let warnings = if n == 1 { "warning" } else { "warnings" };

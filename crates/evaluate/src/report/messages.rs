@@ -1,9 +1,8 @@
 //! Losses and notes of the run.
 
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
 
-use dataset::{Loss, Losses, Note, Severity, Subject};
+use dataset::{Losses, Note, Severity};
 use maud::{Markup, html};
 
 /// Warnings listed at the top; the others are folded.
@@ -78,23 +77,11 @@ fn table(mut messages: Vec<Message>, if_empty: &str) -> Markup {
 
 /// One message for each loss; the same loss in several logs gives one message.
 fn loss_messages(losses: &Losses) -> Vec<Message> {
-    let mut by_loss: BTreeMap<Loss, (u64, Vec<&str>)> = BTreeMap::new();
-    for (loss, n) in losses.iter() {
-        let subject = Subject { log: None, ..loss.subject.clone() };
-        let (total, logs) = by_loss.entry(Loss::new(loss.kind.clone(), subject)).or_default();
-        *total += n;
-        logs.extend(loss.subject.log.as_deref());
-    }
-    let message = |(loss, (n, logs)): (Loss, (u64, Vec<&str>))| Message {
-        severity: loss.kind.severity(),
-        code: loss.kind.code(),
-        sentence: match logs.as_slice() {
-            [] => loss.sentence(n),
-            [log] => Loss::new(loss.kind, loss.subject.in_log(*log)).sentence(n),
-            logs => format!("{} in {} logs", loss.sentence(n), logs.len()),
-        },
-    };
-    by_loss.into_iter().map(message).collect()
+    losses
+        .sentences()
+        .into_iter()
+        .map(|(kind, sentence)| Message { severity: kind.severity(), code: kind.code(), sentence })
+        .collect()
 }
 
 fn note_messages<'a>(notes: impl Iterator<Item = &'a Note>) -> Vec<Message> {
@@ -119,7 +106,7 @@ fn with_code(sentence: &str) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use dataset::{LossKind, NoteKind};
+    use dataset::{Loss, LossKind, NoteKind, Subject};
 
     fn losses() -> Losses {
         let mut losses = Losses::default();

@@ -127,7 +127,7 @@ impl Run {
         self.path_of_log(Artifact::Poses, log)
     }
 
-    /// All paths of an artifact of one log, or of all logs.
+    /// The paths of an artifact; of one log, if there is one for each log.
     pub(crate) fn paths_of(&self, artifact: Artifact, log: Option<&str>) -> Vec<PathBuf> {
         match (artifact, log) {
             (Artifact::Log, Some(log)) => {
@@ -228,7 +228,7 @@ impl Run {
 
     /// What all stages before this one left out and remarked.
     pub(crate) fn findings_before(&self, stage: Stage) -> Result<Findings> {
-        let mut findings = Findings { losses: self.losses_of_failed_logs(), notes: Vec::new() };
+        let mut findings = Findings::from(self.losses_of_failed_logs()?);
         let logs = self.ingested_logs()?;
         let manifest = self.manifest.borrow();
         for earlier in Stage::ALL.into_iter().filter(|earlier| *earlier < stage) {
@@ -243,14 +243,18 @@ impl Run {
         Ok(findings)
     }
 
-    /// The logs that could not be ingested.
-    pub(crate) fn losses_of_failed_logs(&self) -> Losses {
+    /// The logs of this run that could not be ingested. `run.json` may list others, which the
+    /// pipeline does not name any more.
+    pub(crate) fn losses_of_failed_logs(&self) -> Result<Losses> {
+        let failed = &self.manifest.borrow().failed;
         let mut losses = Losses::default();
-        for (log, error) in &self.manifest.borrow().failed {
-            let kind = LossKind::LogLeftOut { error: error.clone() };
-            losses.add(Loss::new(kind, Subject::log(log)), 1);
+        for LogFile { name, .. } in self.logs()? {
+            if let Some(error) = failed.get(&**name) {
+                let kind = LossKind::LogLeftOut { error: error.clone() };
+                losses.add(Loss::new(kind, Subject::log(&**name)), 1);
+            }
         }
-        losses
+        Ok(losses)
     }
 
     /// Does a task, unless it was done with the same inputs and options and its outputs are

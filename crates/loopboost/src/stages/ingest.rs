@@ -63,7 +63,7 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
         eprintln!("log `{}` left out of the run: {error:#}", log.name);
     }
     if !run.is_dry() {
-        findings.losses.merge(run.losses_of_failed_logs());
+        findings.losses.merge(run.losses_of_failed_logs()?);
     }
     Ok(findings)
 }
