@@ -150,7 +150,7 @@ macro_rules! codes {
             }
 
             #[allow(unused_variables, reason = "not every sentence uses the plural")]
-            fn write(
+            pub(crate) fn write(
                 &self,
                 f: &mut std::fmt::Formatter<'_>,
                 $s: &'static str,

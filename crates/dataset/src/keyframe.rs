@@ -25,6 +25,14 @@ pub struct Keyframe {
     /// Covariance of the pose, if it is known. The entries are the same as in
     /// [`StampedPose::covariance`](crate::StampedPose::covariance).
     pub covariance: Option<[f64; 6]>,
+    /// Height, if the source of the poses measures it \[m\].
+    pub z_m: Option<f64>,
+    /// Number of the continuous piece of the trajectory of the log. See
+    /// [`StampedPose::segment`](crate::StampedPose::segment).
+    pub segment: u32,
+    /// Number of the coordinate frame within the log. See
+    /// [`StampedPose::frame`](crate::StampedPose::frame).
+    pub frame: u32,
     /// Distance driven since the first keyframe of this log: the sum of the straight-line distances
     /// between consecutive keyframes \[m\].
     pub travel_m: f64,

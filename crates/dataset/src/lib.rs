@@ -35,7 +35,9 @@
 
 mod codes;
 mod keyframe;
+mod loss_kind;
 mod losses;
+mod note_kind;
 mod notes;
 mod out_of_range;
 mod pair;
@@ -49,8 +51,10 @@ pub mod tables;
 
 pub use codes::{Severity, Subject};
 pub use keyframe::{Keyframe, ScanId};
-pub use losses::{Loss, LossKind, Losses};
-pub use notes::{Note, NoteKind};
+pub use loss_kind::LossKind;
+pub use losses::{Loss, Losses};
+pub use note_kind::NoteKind;
+pub use notes::Note;
 pub use out_of_range::OutOfRange;
 pub use pair::{Label, Pair};
 pub use pose::{NoPose, Pose2, StampedPose, Trajectory, wrap_angle};

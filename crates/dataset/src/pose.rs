@@ -65,12 +65,20 @@ pub struct StampedPose {
     /// Covariance of x, y and heading, if it is known. The upper triangle is stored row by row:
     /// xx, xy, xh, yy, yh, hh \[m^2, m rad, rad^2\].
     pub covariance: Option<[f64; 6]>,
+    /// Height, if the source of the poses measures it \[m\].
+    pub z_m: Option<f64>,
+    /// Number of the continuous piece of the trajectory, from 0. Nothing is interpolated between two
+    /// segments, and no path is counted between them.
+    pub segment: u32,
+    /// Number of the coordinate frame within the log, from 0. Poses in different frames have no known
+    /// relation.
+    pub frame: u32,
 }
 
 impl StampedPose {
-    /// A pose without a covariance.
+    /// A pose in the first segment and frame, without covariance and height.
     pub fn new(stamp_ns: i64, pose: Pose2) -> Self {
-        Self { stamp_ns, pose, covariance: None }
+        Self { stamp_ns, pose, covariance: None, z_m: None, segment: 0, frame: 0 }
     }
 }
 
@@ -153,7 +161,8 @@ impl Trajectory {
             (Some(a), Some(b)) => Some(std::array::from_fn(|k| a[k] + share * (b[k] - a[k]))),
             _ => None,
         };
-        Ok(StampedPose { stamp_ns, pose, covariance })
+        let z_m = previous.z_m.zip(next.z_m).map(|(a, b)| a + share * (b - a));
+        Ok(StampedPose { stamp_ns, pose, covariance, z_m, ..*previous })
     }
 }
 

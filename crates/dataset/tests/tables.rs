@@ -61,6 +61,9 @@ fn keyframes() -> Vec<Keyframe> {
             stamp_ns: i64::from(k),
             pose: Pose2 { x_m: f64::from(k), y_m: 0.1, heading_rad: -3.0 },
             covariance: (k < 2).then_some([0.25, 0.125, 0.0, 0.5, -0.0625, f64::from(k)]),
+            z_m: (k < 1).then_some(2.5),
+            segment: 3 * k,
+            frame: k,
             travel_m: 0.5 * f64::from(k),
             coverage_deg: 359.9,
         })
@@ -133,6 +136,9 @@ fn poses_keyframes_pairs_and_features_are_read_as_written() {
         stamp_ns: k,
         pose: Pose2 { x_m: 0.1 * k as f64, y_m: -1.0, heading_rad: 0.2 },
         covariance: (k > 1).then_some([0.1, 0.2, 0.3, 0.4, 0.5, k as f64]),
+        z_m: (k > 0).then_some(0.5 * k as f64),
+        segment: k as u32,
+        frame: k as u32 / 2,
     });
     let (trajectory, _) = Trajectory::new(poses.collect());
     write_poses(&at("poses"), &provenance(), "a", &trajectory).unwrap();
@@ -343,6 +349,6 @@ fn an_error_about_the_format_version_names_both_versions() {
     let of_provenance = read_provenance(&path).unwrap_err();
     for error in [of_rows, of_provenance] {
         let message = error.to_string();
-        assert!(message.contains("format version 99, this program reads version 4"), "{message}");
+        assert!(message.contains("format version 99, this program reads version 5"), "{message}");
     }
 }

@@ -87,6 +87,9 @@ fn keyframe(log: &str, k: usize) -> Keyframe {
         stamp_ns: k as i64 * 1_000_000_000,
         pose: Pose2 { x_m: k as f64, y_m: 0.0, heading_rad: 0.0 },
         covariance: None,
+        z_m: None,
+        segment: 0,
+        frame: 0,
         travel_m: k as f64,
         coverage_deg: 360.0,
     }

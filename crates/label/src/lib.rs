@@ -21,6 +21,9 @@
 //!         stamp_ns: i64::from(scan) * 1_000_000_000,
 //!         pose: Pose2 { x_m, y_m: 0.0, heading_rad: 0.0 },
 //!         covariance: None,
+//!         z_m: None,
+//!         segment: 0,
+//!         frame: 0,
 //!         travel_m: x_m,
 //!         coverage_deg: 360.0,
 //!     })

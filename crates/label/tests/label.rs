@@ -17,6 +17,9 @@ fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
         stamp_ns: i64::from(scan),
         pose: Pose2 { x_m, y_m, heading_rad: 0.0 },
         covariance: None,
+        z_m: None,
+        segment: 0,
+        frame: 0,
         travel_m: 100.0 * f64::from(scan),
         coverage_deg: 360.0,
     }

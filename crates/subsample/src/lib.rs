@@ -180,6 +180,9 @@ pub fn subsample(
             stamp_ns: candidate.stamp_ns,
             pose: stamped.pose,
             covariance: stamped.covariance,
+            z_m: stamped.z_m,
+            segment: stamped.segment,
+            frame: stamped.frame,
             travel_m,
             coverage_deg: candidate.coverage_deg,
         });

@@ -42,8 +42,11 @@ pub fn floats(values: impl Iterator<Item = f64>) -> ArrayRef {
 /// Columns of the covariance of a pose. They are null if the covariance is not known.
 const COVARIANCE: [&str; 6] = ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh"];
 
-/// Writes `poses/<log>.parquet`: the stamp, the pose, and the upper triangle of the covariance of
-/// x, y and heading \[m^2, m rad, rad^2\].
+/// Columns of poses and keyframes that can contain nulls.
+const NULLABLE: [&str; 7] = ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh", "z_m"];
+
+/// Writes `poses/<log>.parquet`: the stamp, the pose, the upper triangle of the covariance of x, y
+/// and heading \[m^2, m rad, rad^2\], the height, the segment and the frame.
 pub fn write_poses(
     path: &Path,
     provenance: &Provenance,
@@ -59,7 +62,8 @@ pub fn write_poses(
         ("heading_rad", floats(poses.iter().map(|p| p.pose.heading_rad))),
     ];
     columns.extend(covariance_columns(poses.iter().map(|p| p.covariance)));
-    write_table(path, "poses", provenance, &batch(columns, &COVARIANCE))
+    columns.extend(segment_columns(poses.iter().map(|p| (p.z_m, p.segment, p.frame))));
+    write_table(path, "poses", provenance, &batch(columns, &NULLABLE))
 }
 
 /// Reads `poses/<log>.parquet`.
@@ -71,11 +75,17 @@ pub fn read_poses(path: &Path) -> Result<(Trajectory, Provenance)> {
     let y = columns.numbers::<Float64Type>("y_m")?;
     let heading = columns.numbers::<Float64Type>("heading_rad")?;
     let covariances = covariances(&columns)?;
+    let heights = columns.nullable_numbers::<Float64Type>("z_m")?;
+    let segments = columns.numbers::<UInt32Type>("segment")?;
+    let frames = columns.numbers::<UInt32Type>("frame")?;
     let poses = (0..batch.num_rows())
         .map(|row| StampedPose {
             stamp_ns: stamps.value(row),
             pose: Pose2 { x_m: x.value(row), y_m: y.value(row), heading_rad: heading.value(row) },
             covariance: covariances[row],
+            z_m: heights.is_valid(row).then(|| heights.value(row)),
+            segment: segments.value(row),
+            frame: frames.value(row),
         })
         .collect();
     Ok((Trajectory::new(poses).0, provenance))
@@ -88,6 +98,20 @@ fn covariance_columns(
         let entry = covariances.clone().map(|covariance| covariance.map(|entries| entries[k]));
         (name, Arc::new(entry.collect::<Float64Array>()) as ArrayRef)
     })
+}
+
+fn segment_columns(
+    rows: impl Iterator<Item = (Option<f64>, u32, u32)> + Clone,
+) -> [(&'static str, ArrayRef); 3] {
+    let numbers = |of: fn((Option<f64>, u32, u32)) -> u32| -> ArrayRef {
+        Arc::new(UInt32Array::from_iter_values(rows.clone().map(of)))
+    };
+    let heights = rows.clone().map(|(z_m, ..)| z_m).collect::<Float64Array>();
+    [
+        ("z_m", Arc::new(heights)),
+        ("segment", numbers(|(_, segment, _)| segment)),
+        ("frame", numbers(|(.., frame)| frame)),
+    ]
 }
 
 fn covariances(columns: &Columns<'_>) -> Result<Vec<Option<[f64; 6]>>> {
@@ -117,7 +141,8 @@ pub fn write_keyframes(path: &Path, provenance: &Provenance, keyframes: &[Keyfra
         ("site", strings(keyframes.iter().map(|k| &*k.site))),
     ];
     columns.extend(covariance_columns(keyframes.iter().map(|k| k.covariance)));
-    write_table(path, "keyframes", provenance, &batch(columns, &COVARIANCE))
+    columns.extend(segment_columns(keyframes.iter().map(|k| (k.z_m, k.segment, k.frame))));
+    write_table(path, "keyframes", provenance, &batch(columns, &NULLABLE))
 }
 
 /// Reads `keyframes.parquet`.
@@ -133,6 +158,9 @@ pub fn read_keyframes(path: &Path) -> Result<(Vec<Keyframe>, Provenance)> {
     let coverage = columns.numbers::<Float32Type>("coverage_deg")?;
     let sites = columns.strings("site")?;
     let covariances = covariances(&columns)?;
+    let heights = columns.nullable_numbers::<Float64Type>("z_m")?;
+    let segments = columns.numbers::<UInt32Type>("segment")?;
+    let frames = columns.numbers::<UInt32Type>("frame")?;
     let mut names = Names::default();
     let keyframes = ids
         .into_iter()
@@ -143,6 +171,9 @@ pub fn read_keyframes(path: &Path) -> Result<(Vec<Keyframe>, Provenance)> {
             stamp_ns: stamps.value(row),
             pose: Pose2 { x_m: x.value(row), y_m: y.value(row), heading_rad: heading.value(row) },
             covariance: covariances[row],
+            z_m: heights.is_valid(row).then(|| heights.value(row)),
+            segment: segments.value(row),
+            frame: frames.value(row),
             travel_m: travel.value(row),
             coverage_deg: coverage.value(row),
         })

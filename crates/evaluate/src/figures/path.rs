@@ -48,6 +48,9 @@ fn stamped(keyframe: &Keyframe) -> StampedPose {
         stamp_ns: keyframe.stamp_ns,
         pose: keyframe.pose,
         covariance: keyframe.covariance,
+        z_m: keyframe.z_m,
+        segment: keyframe.segment,
+        frame: keyframe.frame,
     }
 }
 
@@ -222,9 +225,8 @@ mod tests {
     /// 100 m along x. The variance grows to 4 m^2 in x and 1 m^2 in y.
     fn poses() -> Vec<StampedPose> {
         let pose = |k: i64| StampedPose {
-            stamp_ns: k,
-            pose: Pose2 { x_m: k as f64, y_m: 0.0, heading_rad: 0.0 },
             covariance: Some([0.04 * k as f64, 0.0, 0.0, 0.01 * k as f64, 0.0, 0.0]),
+            ..StampedPose::new(k, Pose2 { x_m: k as f64, y_m: 0.0, heading_rad: 0.0 })
         };
         (0..=100).map(pose).collect()
     }

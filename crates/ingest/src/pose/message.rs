@@ -19,7 +19,7 @@ pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, L
         heading_rad: yaw_rad(unit_quaternion(pose.orientation)?),
     };
     let covariance = covariance.as_ref().and_then(planar_covariance);
-    Ok(StampedPose { stamp_ns: pose.stamp_ns, pose: planar, covariance })
+    Ok(StampedPose { covariance, ..StampedPose::new(pose.stamp_ns, planar) })
 }
 
 /// The loss of a message that could not be decoded.

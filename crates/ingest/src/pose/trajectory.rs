@@ -98,9 +98,8 @@ impl PoseSource<'_> {
         notes.extend(notes_of_fusion(&fused.report).into_iter().map(Note::from));
         losses.merge(fused.report.losses);
         let poses = fused.poses.iter().map(|fused| StampedPose {
-            stamp_ns: fused.stamp_ns,
-            pose: fused.pose,
             covariance: Some(fused.covariance),
+            ..StampedPose::new(fused.stamp_ns, fused.pose)
         });
         Ok(poses.collect())
     }
@@ -168,7 +167,7 @@ fn lidar_pose(map_from_base: &StampedPose, base_from_lidar: &Pose2) -> StampedPo
             hh,
         ]
     });
-    StampedPose { stamp_ns: map_from_base.stamp_ns, pose: map_from_lidar, covariance }
+    StampedPose { pose: map_from_lidar, covariance, ..*map_from_base }
 }
 
 fn note_of_fixes(fixes: &[NavSatFix], origin: &Origin) -> NoteKind {
@@ -261,9 +260,8 @@ mod tests {
     fn the_covariance_of_the_lidar_includes_the_heading_error() {
         let heading_rad = std::f64::consts::FRAC_PI_2;
         let robot = StampedPose {
-            stamp_ns: 5,
-            pose: Pose2 { x_m: 7.0, y_m: 8.0, heading_rad },
             covariance: Some([0.09, 0.0, 0.0, 0.16, 0.0, 0.01]),
+            ..StampedPose::new(5, Pose2 { x_m: 7.0, y_m: 8.0, heading_rad })
         };
         let lidar = lidar_pose(&robot, &Pose2 { x_m: 2.0, y_m: 0.0, heading_rad: 0.0 });
         assert!((lidar.pose.x_m - 7.0).abs() < 1e-12 && (lidar.pose.y_m - 10.0).abs() < 1e-12);

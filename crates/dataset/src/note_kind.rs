@@ -1,0 +1,227 @@
+//! The kinds of [notes](crate::Note), with code, severity and sentence.
+
+use serde::{Deserialize, Serialize};
+
+use crate::codes::codes;
+
+codes! {
+    /// The kinds of notes. `docs/messages.md` gives meaning, usual cause and remedy of each.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    pub enum NoteKind (s) {
+        // Topics and files.
+
+        /// The channel names no schema.
+        Warning "no_schema" NoSchema {
+            /// The type whose decoder accepts the messages.
+            read_as: String,
+        } => "the topic has no schema; its messages decode as {read_as} and were read as that";
+        /// A drive was read from several files.
+        Info "split_drive" SplitDrive {
+            /// The files, in order of time.
+            files: Vec<String>,
+        } => "read from {} files of one drive: {}", files.len(), files.join(", ");
+
+        // Training and evaluation.
+
+        /// A grouping has too few groups.
+        Warning "too_few_groups" TooFewGroups {
+            /// The grouping, by name.
+            grouping: String,
+            /// What its groups are: `logs`, `places`, ...
+            groups: String,
+            /// Groups found.
+            n_found: u64,
+        } => "grouping `{grouping}` not evaluated: it needs 2 {groups} or more, found {n_found}; add logs, or remove `{grouping}` from `evaluate.groupings`";
+        /// A class has fewer pairs than there are folds.
+        Warning "too_few_pairs_for_folds" TooFewPairsForFolds {
+            /// The grouping, by name.
+            grouping: String,
+            /// Folds asked for.
+            n_folds: u64,
+            /// `positive` or `negative`.
+            class: String,
+            /// Pairs found.
+            n_found: u64,
+        } => "grouping `{grouping}` not evaluated: {n_folds} folds need as many pairs of each class, found {n_found} {class} pairs; lower `evaluate.folds` or raise `label.pairs_per_class`";
+        /// Without some folds, only one class is left to train on.
+        Warning "one_class_left" OneClassLeft {
+            /// The grouping, by name.
+            grouping: String,
+            /// Positive pairs left.
+            n_positive: u64,
+            /// Negative pairs left.
+            n_negative: u64,
+        } => "grouping `{grouping}` not evaluated: {n_positive} positive and {n_negative} negative pairs are left to train on, expected both classes; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or remove `{grouping}` from `evaluate.groupings`";
+        /// A learner cannot be fitted without some folds.
+        Warning "grouping_not_trainable" GroupingNotTrainable {
+            /// The grouping, by name.
+            grouping: String,
+        } => "grouping `{grouping}` not evaluated: a learner cannot be fitted to the remaining pairs";
+
+        // Velodyne packets.
+
+        /// Packets come from more than one sensor.
+        Warning "several_sensors" SeveralSensors
+            => "the packets do not follow each other: more than one sensor seems to send to this topic";
+        /// The revolutions at both ends of the log are partial.
+        Info "partial_revolutions" PartialRevolutions {
+            /// Revolutions.
+            n_revolutions: u64,
+        } => "{n_revolutions} partial revolutions at the start and end";
+        /// Packets are missing.
+        Info "missing_packets" MissingPackets {
+            /// Packets.
+            n_packets: u64,
+            /// Scans with a larger angle without packets than is usual.
+            n_scans: u64,
+            /// That angle \[deg\].
+            min_hole_deg: f64,
+        } => "{n_packets} packets missing{}", match n_scans {
+            0 => String::new(),
+            n => format!(
+                "; {n} scans have an angle of more than {min_hole_deg} deg without packets (column `hole_deg`)"
+            ),
+        };
+        /// The device clock jumps and the stamps do not.
+        Info "device_clock_jumps" DeviceClockJumps {
+            /// Jumps.
+            n_jumps: u64,
+        } => "the device clock jumps {n_jumps} times while the stamps do not; nothing is lost";
+        /// The stamps step against the device clock.
+        Warning "stamp_steps" StampSteps {
+            /// Steps.
+            n_steps: u64,
+            /// The largest \[s\].
+            largest_s: f64,
+        } => "the stamps step {n_steps} times against the device clock, by up to {largest_s:.2} s; scans and poses may be offset by that much there";
+        /// All packets of a message have the same stamp.
+        Warning "one_stamp_per_message" OneStampPerMessage
+            => "the packets of a message share one stamp; scans may be late by up to one message: set `ingest.lidar.clock` to \"device\"";
+        /// Packets were put back in order.
+        Info "packets_reordered" PacketsReordered {
+            /// Packets.
+            n_packets: u64,
+        } => "{n_packets} late packets put back in order";
+        /// Lasers without a single return.
+        Info "silent_lasers" SilentLasers {
+            /// Lasers with returns.
+            n_returning: u64,
+            /// All lasers.
+            n_lasers: u64,
+            /// Lasers without returns, in firing order.
+            silent: String,
+        } => "{n_returning} of {n_lasers} lasers have returns; none from {silent}";
+
+        // Scans.
+
+        /// The points of a cloud are not in firing order.
+        Info "clouds_sorted" CloudsSorted {
+            /// Clouds.
+            n_clouds: u64,
+        } => "{n_clouds} clouds without firing order sorted by azimuth";
+        /// The point times of a cloud are far from its stamp.
+        Warning "cloud_times_ignored" CloudTimesIgnored {
+            /// Clouds.
+            n_clouds: u64,
+        } => "{n_clouds} clouds have point times more than 1 s from their stamp; the stamp was used";
+        /// What was deskewed.
+        Info "deskewed" Deskewed {
+            /// Scans deskewed.
+            n_scans: u64,
+        } => "{n_scans} scans deskewed";
+        /// Scans that could not be deskewed because the motion is not known.
+        Info "not_deskewed_no_motion" NotDeskewedNoMotion {
+            /// Scans.
+            n_scans: u64,
+        } => "{n_scans} scans not deskewed: the motion is not known at least every 0.25 s, or it jumps";
+        /// Scans that could not be deskewed because their messages have no times of returns.
+        Info "not_deskewed_no_times" NotDeskewedNoTimes {
+            /// Scans.
+            n_scans: u64,
+        } => "{n_scans} scans not deskewed: no per-return times";
+        /// Deskewing is switched off.
+        Info "deskew_off" DeskewOff => "scans not deskewed (`ingest.lidar.deskew = false`)";
+
+        // Poses.
+
+        /// Poses were not in order of time.
+        Info "poses_reordered" PosesReordered {
+            /// Poses.
+            n_poses: u64,
+        } => "{n_poses} poses earlier than the pose before; sorted by stamp";
+        /// Two parents place the same frame.
+        Warning "two_parent_frames" TwoParentFrames {
+            /// The frame.
+            child: String,
+            /// The parent that was used.
+            used: String,
+            /// The other parent.
+            other: String,
+        } => "frame `{child}` has two parents, `{used}` and `{other}`; `{used}` was used: name another `parent` in `ingest.pose.frames` to use the other";
+        /// Poses come from satellite fixes.
+        Info "poses_from_fixes" PosesFromFixes {
+            /// Fixes.
+            n_fixes: u64,
+            /// Latitude of the origin \[deg\].
+            latitude_deg: f64,
+            /// Longitude of the origin \[deg\].
+            longitude_deg: f64,
+            /// Altitude of the origin \[m\].
+            altitude_m: f64,
+        } => "poses from {n_fixes} satellite fixes, headings from the course, origin {{ latitude_deg = {latitude_deg}, longitude_deg = {longitude_deg}, altitude_m = {altitude_m} }}";
+        /// Poses jump.
+        Warning "pose_jumps" PoseJumps {
+            /// Jumps.
+            n_jumps: u64,
+            /// The limit \[m/s\].
+            max_speed_m_s: f64,
+            /// The largest \[m\].
+            largest_m: f64,
+            /// The time it took \[s\].
+            largest_s: f64,
+            /// When it began \[ns since the epoch\].
+            stamp_ns: i64,
+        } => "the poses jump {n_jumps} times faster than {max_speed_m_s} m/s; the largest jump is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns: do not trust poses around it (`ingest.pose.max_speed_m_s`)";
+        /// Poses come from wheels and an IMU.
+        Info "poses_fused" PosesFused {
+            /// Wheel samples used.
+            n_wheel_samples: u64,
+            /// IMU samples used.
+            n_imu_samples: u64,
+            /// Path \[m\].
+            distance_m: f64,
+            /// Share of the time at rest, 0 to 1.
+            still_share: f64,
+            /// Track width \[m\].
+            track_m: f64,
+            /// Its standard deviation \[m\].
+            track_std_m: f64,
+            /// Bias of the gyroscope \[rad/s\].
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            gyro_bias_rad_s: Option<f64>,
+        } => "poses fused from {n_wheel_samples} wheel and {n_imu_samples} IMU samples: {distance_m:.1} m, at rest {:.0} % of the time, track width {track_m:.3} +- {track_std_m:.3} m{}",
+            still_share * 100.0,
+            gyro_bias_rad_s.map_or_else(String::new, |bias| format!(", gyroscope bias {bias:.5} rad/s"));
+        /// Headings of the IMU were used.
+        Info "headings_used" HeadingsUsed {
+            /// Headings used.
+            n_headings: u64,
+            /// Of these, outliers.
+            n_outliers: u64,
+        } => "{n_headings} headings used, {n_outliers} of them outliers";
+        /// Wheels and gyroscope disagree for some time.
+        Info "wheel_slip" WheelSlip {
+            /// Time \[s\].
+            secs: u64,
+        } => "the wheels slip for {secs} s (wheels and gyroscope disagree)";
+        /// Samples are missing for some time.
+        Info "sample_gaps" SampleGaps {
+            /// `wheel` or `imu`.
+            sensor: String,
+            /// Gaps.
+            n_gaps: u64,
+            /// Their total time \[s\].
+            secs: f64,
+        } => "{n_gaps} gaps between {sensor} samples, {secs:.1} s in total";
+    }
+}
