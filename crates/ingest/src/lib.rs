@@ -41,6 +41,7 @@ mod options;
 mod pose;
 mod pose_options;
 mod scan;
+mod stamp;
 mod survey;
 mod types;
 mod velodyne;
@@ -57,6 +58,7 @@ pub use options::{Clock, LidarOptions, Options};
 pub use pose::frames::LookupError;
 pub use pose_options::{Frames, Origin, PlanarPose, PoseOptionError, PoseOptions};
 pub use scan::assemble::Ingested;
+pub use stamp::Stamp;
 pub use survey::gather::survey;
 pub use survey::report::{
     ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,

@@ -5,6 +5,7 @@ use messages::hdl32e::LASERS;
 use serde::{Deserialize, Serialize};
 
 use crate::pose_options::{PlanarPose, PoseOptions};
+use crate::stamp::Stamp;
 pub use crate::velodyne::clock::Clock;
 
 /// Where scans come from: the section `[ingest.lidar]`.
@@ -18,6 +19,13 @@ pub struct LidarOptions {
     /// `foxglove.PointCloud`) or planar scans (`LaserScan`, `foxglove.LaserScan`). The schema of the
     /// topic selects the decoder.
     pub topic: String,
+    /// The frame (`header.frame_id`) whose messages are used, if several sensors publish on the topic.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_id: Option<String>,
+    /// The time of a message that is used: `header`, the stamp in its header, or `log`, the time at
+    /// which it was recorded. Use `log` if the stamps are 0 or wrong. With `log`, the last return of a
+    /// message has the log time.
+    pub stamp: Stamp,
     /// The laser that makes the scan, in firing order, 0 to 31. For packets only.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub laser: Option<u32>,
@@ -49,6 +57,8 @@ impl Default for LidarOptions {
     fn default() -> Self {
         Self {
             topic: "/velodyne_packets".to_owned(),
+            frame_id: None,
+            stamp: Stamp::Header,
             laser: None,
             ring: None,
             elevation_deg: None,

@@ -3,6 +3,8 @@
 use dataset::{OutOfRange, Pose2};
 use serde::{Deserialize, Serialize};
 
+use crate::stamp::Stamp;
+
 /// Where poses come from: the section `[ingest.pose]`.
 ///
 /// Set one of `topic` (a topic with poses), `frames` (two frames connected by transforms) and `wheels`
@@ -15,6 +17,12 @@ pub struct PoseOptions {
     /// `NavSatFix` messages. The schema of the topic selects the decoder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub topic: Option<String>,
+    /// The frame (`header.frame_id`) whose messages are used, if several publishers use one topic.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_id: Option<String>,
+    /// The time of a message that is used: `header`, the stamp in its header, or `log`, the time at
+    /// which it was recorded. Use `log` if the stamps are 0 or wrong.
+    pub stamp: Stamp,
     /// Two frames. Poses are made from the transforms between them (`TFMessage`,
     /// `foxglove.FrameTransform`).
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -53,6 +61,8 @@ impl Default for PoseOptions {
     fn default() -> Self {
         Self {
             topic: None,
+            frame_id: None,
+            stamp: Stamp::Header,
             frames: None,
             origin: None,
             max_speed_m_s: 15.0,

@@ -34,20 +34,22 @@ pub(crate) struct ImuReading {
 }
 
 impl MotionReadings {
-    /// Adds a message. The error is the kind of loss that the message is counted as.
+    /// Adds a message with its log time. The error is the kind of loss that the message is counted as.
     pub(crate) fn add(
         &mut self,
         topic: &str,
         source: Source,
+        log_ns: u64,
         data: &[u8],
         options: &PoseOptions,
     ) -> Result<(), LossKind> {
         let undecodable = |error: messages::MessageError| undecodable(source, &error);
+        let selected = |header_ns: i64| options.stamp.select(header_ns, log_ns);
         match (source.message_type, &options.wheels) {
             (MessageType::Imu, _) => {
                 let imu = read_imu(source, data).map_err(undecodable)?;
                 let inertial = InertialReading {
-                    stamp_ns: imu.stamp_ns,
+                    stamp_ns: selected(imu.stamp_ns),
                     angular_velocity_rad_s: imu.angular_velocity,
                     acceleration_m_s2: imu.linear_acceleration,
                 };
@@ -55,28 +57,34 @@ impl MotionReadings {
                 self.imu.push(ImuReading { inertial, heading_rad });
             }
             (MessageType::NavSatFix, _) => {
-                let fix = read_nav_sat_fix(source, data).map_err(undecodable)?;
+                let mut fix = read_nav_sat_fix(source, data).map_err(undecodable)?;
+                fix.stamp_ns = selected(fix.stamp_ns);
                 gnss::check(&fix)?;
                 self.fixes.push(fix);
             }
             (MessageType::Tf | MessageType::FoxgloveFrameTransform, _) => {
                 let is_static = topic.ends_with("_static");
                 let transforms = read_transforms(source, data).map_err(undecodable)?;
-                for transform in transforms {
+                for mut transform in transforms {
+                    transform.stamp_ns = selected(transform.stamp_ns);
                     self.transforms.add(&transform, is_static)?;
                 }
             }
-            (MessageType::JointState, _) => self.add_joints(source, data, options)?,
+            (MessageType::JointState, _) => self.add_joints(source, log_ns, data, options)?,
             (MessageType::Odometry, Some(_)) => {
                 let odometry = read_odometry(source, data).map_err(undecodable)?;
                 self.wheel_speeds.push(WheelSample::from_twist(
-                    odometry.pose.stamp_ns,
+                    selected(odometry.pose.stamp_ns),
                     odometry.linear_velocity[0],
                     odometry.angular_velocity[2],
                     options.track_m.unwrap_or_default(),
                 ));
             }
-            _ => self.poses.push(stamped_pose(source, data)?),
+            _ => {
+                let mut pose = stamped_pose(source, data)?;
+                pose.stamp_ns = selected(pose.stamp_ns);
+                self.poses.push(pose);
+            }
         }
         Ok(())
     }
@@ -86,6 +94,7 @@ impl MotionReadings {
     fn add_joints(
         &mut self,
         source: Source,
+        log_ns: u64,
         data: &[u8],
         options: &PoseOptions,
     ) -> Result<(), LossKind> {
@@ -96,11 +105,12 @@ impl MotionReadings {
             let (sum, n) = on_side.fold((0.0, 0), |(sum, n), (_, value)| (sum + value, n + 1));
             (n > 0).then(|| sum / f64::from(n) * options.wheel_radius_m.unwrap_or(1.0))
         };
+        let stamp_ns = options.stamp.select(joints.stamp_ns, log_ns);
         let both = |values: &[f64]| Some((mean("left", values)?, mean("right", values)?));
         if let Some((left_m_s, right_m_s)) = both(&joints.velocities) {
-            self.wheel_speeds.push(WheelSample { stamp_ns: joints.stamp_ns, left_m_s, right_m_s });
+            self.wheel_speeds.push(WheelSample { stamp_ns, left_m_s, right_m_s });
         } else if let Some((left_m, right_m)) = both(&joints.positions) {
-            self.wheel_positions.push((joints.stamp_ns, left_m, right_m));
+            self.wheel_positions.push((stamp_ns, left_m, right_m));
         } else {
             return Err(LossKind::NoWheelJoints { joints: joints.names.join(", ") });
         }
@@ -158,7 +168,7 @@ mod tests {
         let bytes = ros::write_joint_state(Encoding::Cdr, "base", &joints);
         let source = Source { message_type: MessageType::JointState, encoding: Encoding::Cdr };
         let options = PoseOptions { wheel_radius_m: Some(0.5), ..PoseOptions::default() };
-        readings.add("/wheels", source, &bytes, &options)
+        readings.add("/wheels", source, 9, &bytes, &options)
     }
 
     #[test]

@@ -64,7 +64,9 @@ impl Reader<'_> {
             for topic in self.pose_topics {
                 let Some(source) = topic.source(file, channel) else { continue };
                 decoded.n_messages += 1;
-                if let Err(kind) = decoded.motion.add(&topic.name, source, data, options) {
+                let log_ns = header.log_time;
+                let added = decoded.motion.add(&topic.name, source, log_ns, data, options);
+                if let Err(kind) = added {
                     decoded.losses.add(Loss::new(kind, Subject::topic(&topic.name)), 1);
                 }
             }
