@@ -21,6 +21,16 @@ codes! {
             files: Vec<String>,
         } => "read from {} files of one drive: {}", files.len(), files.join(", ");
 
+        // Pipelines and sites.
+
+        /// A stage refuses the pipeline that `inspect` suggests.
+        Error "pipeline_refused" PipelineRefused {
+            /// The stage, by name.
+            stage: String,
+            /// Its error.
+            error: String,
+        } => "`{stage}` refuses the suggested pipeline: {error}";
+
         // Training and evaluation.
 
         /// A grouping has too few groups.

@@ -6,7 +6,7 @@ use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Args, FromArgMatches, Parser, Subcommand, ValueEnum};
 
 use crate::config::{Config, usage};
-use crate::findings::Findings;
+use crate::findings::{Failure, Findings};
 use crate::import::ImportArgs;
 use crate::inspect::InspectArgs;
 use crate::run::{Mode, Run};
@@ -39,7 +39,7 @@ enum Command {
         /// Show what would run, and why, without running it
         #[arg(long)]
         dry_run: bool,
-        /// Stop at a log that cannot be ingested, instead of leaving it out
+        /// Stop at a log that cannot be used, instead of leaving it out
         #[arg(long)]
         strict: bool,
     },
@@ -129,7 +129,7 @@ enum SchemaOf {
 struct StageCommand {
     stage: Stage,
     args: PipelineArgs,
-    /// Only `ingest` has this flag.
+    /// Only `ingest` and `subsample` have this flag.
     strict: bool,
     /// Only `evaluate` has this flag.
     json: bool,
@@ -145,9 +145,9 @@ impl Subcommand for StageCommand {
             let own = clap::Command::new(stage.name()).about(stage.spec().help);
             let own = PipelineArgs::augment_args(own);
             command.subcommand(match stage {
-                Stage::Ingest => own.arg(flag(
+                Stage::Ingest | Stage::Subsample => own.arg(flag(
                     STRICT,
-                    "Stop at a log that cannot be ingested, instead of leaving it out",
+                    "Stop at a log that cannot be used, instead of leaving it out",
                 )),
                 Stage::Evaluate => {
                     own.arg(flag(JSON, "Print the numbers of the report as JSON, and nothing else"))
@@ -202,7 +202,7 @@ struct PipelineArgs {
 
 impl Cli {
     /// Does what was asked. Returns what was left out and remarked.
-    pub(crate) fn execute(self) -> Result<Findings> {
+    pub(crate) fn execute(self) -> Result<Findings, Failure> {
         match self.command {
             Command::Run { args, force, dry_run, strict } => {
                 let mode = if dry_run { Mode::DryRun { force } } else { Mode::Resume { force } };
@@ -212,20 +212,29 @@ impl Cli {
                 args.execute(Mode::Quiet, true, stages::evaluate::run_and_print)
             }
             Command::Stage(StageCommand { stage, args, strict, .. }) => {
-                let strict = strict || stage != Stage::Ingest;
                 args.execute(Mode::Always, strict, pipeline::stage(stage))
             }
-            Command::Inspect(args) => inspect::inspect(&args),
-            Command::Import(args) => args.execute(),
-            Command::Lineage { artifact } => done(lineage::lineage(&artifact)),
-            Command::Log { .. } => {
+            other => Ok(other.execute()?),
+        }
+    }
+}
+
+impl Command {
+    /// The commands that are not stages.
+    fn execute(self) -> Result<Findings> {
+        match self {
+            Self::Run { .. } | Self::Stage(_) => Ok(Findings::default()),
+            Self::Inspect(args) => inspect::inspect(&args),
+            Self::Import(args) => args.execute(),
+            Self::Lineage { artifact } => done(lineage::lineage(&artifact)),
+            Self::Log { .. } => {
                 Err(usage("`loopboost log` was renamed: use `loopboost lineage`"))
             }
-            Command::Verify { folder, pipeline } => {
+            Self::Verify { folder, pipeline } => {
                 let config = pipeline.map(|path| Config::load(&path, &[])).transpose()?;
                 done(lineage::verify(&folder, config.as_ref()))
             }
-            Command::Schema { file } => {
+            Self::Schema { file } => {
                 let schema = match file {
                     SchemaOf::Pipeline => schemars::schema_for!(Config),
                     SchemaOf::Model => model::schema(),
@@ -233,7 +242,7 @@ impl Cli {
                 out!("{}", serde_json::to_string_pretty(&schema)?);
                 Ok(Findings::default())
             }
-            Command::Model { command } => done(match command {
+            Self::Model { command } => done(match command {
                 ModelCommand::List { folder } => models::list(&folder),
                 ModelCommand::Show { model } => models::show(&model),
                 ModelCommand::Diff { a, b } => models::diff(&a, &b),
@@ -252,10 +261,13 @@ impl PipelineArgs {
         mode: Mode,
         strict: bool,
         stage: fn(&Run) -> Result<Findings>,
-    ) -> Result<Findings> {
+    ) -> Result<Findings, Failure> {
         let config = Config::load(&self.pipeline, &self.overrides)?;
         match self.out {
-            Some(out) if !self.print_config => stage(&Run::new(config, out, mode, strict)?),
+            Some(out) if !self.print_config => {
+                let run = Run::new(config, out, mode, strict)?;
+                stage(&run).map_err(|error| Failure { before: run.findings_so_far(), error })
+            }
             _ => {
                 out!("{}", config.to_toml()?.trim_end());
                 Ok(Findings::default())

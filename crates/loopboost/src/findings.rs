@@ -41,8 +41,14 @@ impl Findings {
     /// A loss of several logs is one line. Of many notes with one code the first few are printed;
     /// `run.json` has them all.
     pub(crate) fn lines(&self) -> Vec<String> {
+        self.lines_from(Severity::Info)
+    }
+
+    /// The lines of at least this severity.
+    pub(crate) fn lines_from(&self, least: Severity) -> Vec<String> {
         let mut lines: Vec<(Severity, String)> = self.loss_lines();
         lines.extend(self.note_lines());
+        lines.retain(|(severity, _)| least <= *severity);
         // Stable: losses before notes, in their order.
         lines.sort_by_key(|(severity, _)| std::cmp::Reverse(*severity));
         lines.into_iter().map(|(_, line)| line).collect()
@@ -85,6 +91,18 @@ impl Findings {
             }
         }
         lines
+    }
+}
+
+/// An error of a stage, and what the stages before it left out and remarked.
+pub(crate) struct Failure {
+    pub(crate) error: anyhow::Error,
+    pub(crate) before: Findings,
+}
+
+impl From<anyhow::Error> for Failure {
+    fn from(error: anyhow::Error) -> Self {
+        Self { error, before: Findings::default() }
     }
 }
 

@@ -12,6 +12,7 @@ use crate::plot;
 use crate::run::progress_bar;
 use crate::stages::ingest::open;
 use crate::suggest::Suggestion;
+use crate::trial::Trial;
 
 /// The arguments of `inspect`.
 #[derive(clap::Args)]
@@ -33,9 +34,11 @@ pub(crate) struct InspectArgs {
 }
 
 /// Describes a log. Writes the suggested pipeline and draws the path if requested.
+///
+/// The suggested pipeline is tried on the log. Everything that `ingest` and `subsample` would report
+/// about it is reported.
 pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     let InspectArgs { log: path, write, plot, track_m, json: as_json } = args;
-    let (write, as_json) = (write.as_deref(), *as_json);
     let drive = drive(path)?;
     let (logs, lost) = open(&drive)?;
     let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
@@ -43,57 +46,62 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     let mut survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
     progress.finish_and_clear();
     survey.losses.merge(lost);
-    let mut findings = Findings::default();
     let suggestion = Suggestion::of(&survey, *track_m);
-    let missing = suggestion.missing();
-    let from = write.and_then(Path::parent);
+    let from = write.as_deref().and_then(Path::parent);
     let pipeline =
         suggestion.lidar.map(|lidar| suggestion.pipeline(lidar, path, from)).transpose()?;
-    if as_json {
-        let all =
-            json!({ "log": path, "survey": survey, "missing": missing, "pipeline": pipeline });
+    let trial = match &pipeline {
+        Some(pipeline) => Trial::run(&drive.name, &logs, pipeline)?,
+        None => Trial::default(),
+    };
+    let (missing, refused) = (suggestion.missing(), trial.refusal());
+    let findings = trial.findings_with(&survey);
+    if *as_json {
+        let all = json!({
+            "log": path, "survey": survey, "losses": findings.losses, "notes": findings.notes,
+            "missing": missing, "refused": refused, "pipeline": pipeline,
+        });
         out!("{}", serde_json::to_string_pretty(&all)?);
     } else {
-        print(path, &drive, &survey);
+        describe(path, &drive, &survey);
         missing.iter().for_each(|missing| out!("missing: {missing}"));
+        if let Some(pipeline) = pipeline.as_ref().filter(|_| write.is_none()) {
+            print_pipeline(pipeline, &suggestion, &trial);
+        }
     }
+    let failed = |what: &str| match &refused {
+        Some(refused) => anyhow!("cannot {what} {}: {refused}", path.display()),
+        None => anyhow!("cannot {what} {}; missing: {}", path.display(), missing.join("; ")),
+    };
     if let Some(file) = plot {
-        match &pipeline {
-            Some(pipeline) if suggestion.has_poses() => {
-                findings.notes = plot::plot(file, &drive.name, &logs, pipeline)?;
-                eprintln!("wrote {}", file.display());
-            }
-            _ => {
-                let missing = missing.join("; ");
-                return Err(anyhow!(
-                    "cannot draw the path of {}; missing: {missing}",
-                    path.display()
-                ));
-            }
+        if trial.poses.is_empty() || refused.is_some() {
+            return Err(failed("draw the path of"));
+        }
+        plot::plot(file, &drive.name, &trial)?;
+        eprintln!("wrote {}", file.display());
+    }
+    if let Some(file) = write {
+        let pipeline = pipeline.filter(|_| refused.is_none());
+        write_new(file, &pipeline.ok_or_else(|| failed("suggest a pipeline for"))?)?;
+        let file = file.display();
+        match suggestion.has_poses() {
+            true => eprintln!("wrote {file}; next: loopboost run {file} --out DIR"),
+            false => eprintln!("wrote {file}; before `loopboost run`, add what is missing"),
         }
     }
-    match (write, pipeline) {
-        (Some(file), Some(pipeline)) => {
-            write_new(file, &pipeline)?;
-            eprintln!("wrote {}; next: loopboost run {} --out DIR", file.display(), file.display());
-        }
-        (Some(_), None) => {
-            return Err(anyhow!(
-                "cannot suggest a pipeline for {}; missing: {}",
-                path.display(),
-                missing.join("; ")
-            ));
-        }
-        (None, Some(pipeline)) if !as_json => {
-            out!(
-                "\nsuggested pipeline (save it with --write FILE.toml):\n\n{}",
-                pipeline.trim_end()
-            );
-        }
-        _ => {}
-    }
-    findings.losses = survey.losses;
     Ok(findings)
+}
+
+/// Prints the suggested pipeline, and whether `run` would refuse it.
+fn print_pipeline(pipeline: &str, suggestion: &Suggestion<'_>, trial: &Trial) {
+    match trial.refusal() {
+        Some(why) => out!("\nsuggested pipeline; `loopboost run` refuses it: {why}:\n"),
+        None if suggestion.has_poses() => {
+            out!("\nsuggested pipeline (save it with --write FILE.toml):\n");
+        }
+        None => out!("\nsuggested pipeline; before `loopboost run`, add what is missing:\n"),
+    }
+    out!("{}", pipeline.trim_end());
 }
 
 /// The drive in a file or folder. It is an error if there are none or several.
@@ -116,7 +124,7 @@ fn drive(path: &Path) -> Result<LogFile> {
     }
 }
 
-fn print(path: &Path, drive: &LogFile, survey: &Survey) {
+fn describe(path: &Path, drive: &LogFile, survey: &Survey) {
     let files = match drive.paths.len() {
         1 => String::new(),
         n => format!(" in {n} files"),

@@ -27,15 +27,18 @@ mod stage;
 mod stages;
 mod suggest;
 mod summary;
+mod trial;
 
 use std::process::ExitCode;
 
 use clap::Parser;
 
+use dataset::Severity;
 use dataset::tables::TableError;
 
 use cli::Cli;
 use config::UsageError;
+use findings::Failure;
 use stage::Artifact;
 
 /// Exit code: done, and nothing needs attention.
@@ -66,10 +69,17 @@ fn main() -> ExitCode {
                 }
             }
         }
-        Err(error) => {
+        Err(Failure { error, before }) => {
             eprintln!("error: {error:#}");
             if let Some(hint) = hint(&error) {
                 eprintln!("hint: {hint}");
+            }
+            let warnings = before.lines_from(Severity::Warning);
+            if !warnings.is_empty() {
+                eprintln!("before this error, the earlier stages reported:");
+            }
+            for line in warnings {
+                eprintln!("{line}");
             }
             if error.is::<UsageError>() { USAGE } else { FAILED }
         }

@@ -127,6 +127,23 @@ pub enum SubsampleError {
     OutOfRange(#[from] OutOfRange),
 }
 
+impl SubsampleError {
+    /// A stable name of the error, for programs.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Self::NoPoses { .. } => "log_without_poses",
+            Self::NeverMoves { .. } => "never_moves",
+            Self::NoKeyframes { .. } => "no_keyframes",
+            Self::OutOfRange(_) => "option_out_of_range",
+        }
+    }
+
+    /// Whether other logs may have keyframes with the same options.
+    pub fn is_of_one_log(&self) -> bool {
+        !matches!(self, Self::OutOfRange(_))
+    }
+}
+
 /// Selects the keyframes of one log, and counts what was dropped.
 ///
 /// Scans are visited in the order of their stamps, because stamps can go back in time in a log. A

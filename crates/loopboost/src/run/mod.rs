@@ -6,7 +6,7 @@ mod manifest;
 mod plan;
 mod progress;
 
-use std::cell::{OnceCell, RefCell};
+use std::cell::{Cell, OnceCell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub(crate) struct Run {
     pub(crate) config: Config,
     folder: RunFolder,
     mode: Mode,
-    /// A log that cannot be ingested ends the run.
+    /// A log that cannot be used ends the run.
     pub(crate) strict: bool,
     logs: OnceCell<Vec<LogFile>>,
     manifest: RefCell<Manifest>,
@@ -41,6 +41,8 @@ pub(crate) struct Run {
     digests: RefCell<BTreeMap<PathBuf, String>>,
     /// Tables that were made with this pipeline.
     fresh: RefCell<BTreeSet<PathBuf>>,
+    /// The stage that is running, or the last one that did.
+    stage: Cell<Option<Stage>>,
     /// In a dry run: files that would be made again.
     would_change: RefCell<BTreeSet<PathBuf>>,
 }
@@ -94,6 +96,7 @@ impl Run {
             manifest: RefCell::new(Manifest::load(&folder.root)),
             digests: RefCell::default(),
             fresh: RefCell::default(),
+            stage: Cell::new(None),
             would_change: RefCell::default(),
             folder,
             mode,
@@ -243,6 +246,12 @@ impl Run {
         Ok(findings)
     }
 
+    /// What the stages before the current one left out and remarked. Nothing if that is not known.
+    pub(crate) fn findings_so_far(&self) -> Findings {
+        let before = self.stage.get().map(|stage| self.findings_before(stage));
+        before.and_then(Result::ok).unwrap_or_default()
+    }
+
     /// The logs of this run that could not be ingested. `run.json` may list others, which the
     /// pipeline does not name any more.
     pub(crate) fn losses_of_failed_logs(&self) -> Result<Losses> {
@@ -268,6 +277,7 @@ impl Run {
             Some(log) => format!("{} {log}", task.stage),
             None => task.stage.to_string(),
         };
+        self.stage.set(Some(task.stage));
         let record = self.manifest.borrow().tasks.get(&name).cloned();
         if let Mode::DryRun { force } = &self.mode {
             self.plan(&name, task, record.as_ref(), force.contains(&task.stage))?;

@@ -1,9 +1,10 @@
 use std::sync::Arc;
 
-use anyhow::Result;
+use anyhow::{Result, anyhow};
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{Provenance, read_poses, write_keyframes};
-use subsample::Candidate;
+use dataset::{Keyframe, Loss, LossKind, Losses, Subject, Trajectory};
+use subsample::{Candidate, SubsampleError};
 
 use crate::findings::Findings;
 use crate::logs::LogFile;
@@ -12,6 +13,9 @@ use crate::stage::{Artifact, Stage, sites};
 use crate::summary::Summary;
 
 /// Scans and poses -> keyframes.parquet
+///
+/// A log without keyframes is left out and counted as a loss, for example one of a robot that stands
+/// still. It is an error if the run is strict or no log is left.
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let logs = run.ingested_logs()?;
     run.task(&run.task_of(Stage::Subsample)?, |provenance| subsample(run, &logs, provenance))
@@ -22,37 +26,63 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
     let sites = sites(&run.config, &names)?;
     let mut done = Done::default();
     let mut keyframes = Vec::new();
+    let mut failed: Vec<(SubsampleError, &LogFile)> = Vec::new();
     for log in logs {
-        let (headers, _) = read_scan_headers(&run.scans(&log.name))?;
         let (trajectory, _) = read_poses(&run.poses(&log.name))?;
-        let candidates: Vec<Candidate> = headers
-            .iter()
-            .zip(0..)
-            .map(|(header, scan)| Candidate {
-                scan,
-                stamp_ns: header.stamp_ns,
-                coverage_deg: header.coverage_deg,
-                usable: header.usable,
-            })
-            .collect();
         let site: Arc<str> = sites[&*log.name].as_str().into();
-        let (of_log, losses) = subsample::subsample(
-            &run.config.subsample,
-            &log.name,
-            &site,
-            &candidates,
-            &trajectory,
-        )?;
-        done.summaries.push(Summary::Subsampled {
-            log: log.name.to_string(),
-            n_keyframes: of_log.len() as u64,
-            length_m: of_log.last().map_or(0.0, |k| k.travel_m),
+        match keyframes_of(run, log, &site, &trajectory)? {
+            Ok((of_log, losses)) => {
+                done.summaries.push(Summary::Subsampled {
+                    log: log.name.to_string(),
+                    n_keyframes: of_log.len() as u64,
+                    length_m: of_log.last().map_or(0.0, |k| k.travel_m),
+                });
+                keyframes.extend(of_log);
+                done.losses.merge(losses.in_log(&log.name));
+            }
+            Err(error) if run.strict || !error.is_of_one_log() => return Err(error.into()),
+            Err(error) => failed.push((error, log)),
+        }
+    }
+    if failed.len() == logs.len() {
+        return Err(match <[_; 1]>::try_from(failed) {
+            Ok([(error, _)]) => error.into(),
+            Err(failed) => anyhow!(
+                "none of the {} logs has keyframes:\n  {}",
+                logs.len(),
+                failed.iter().map(|(e, _)| e.to_string()).collect::<Vec<_>>().join("\n  ")
+            ),
         });
-        keyframes.extend(of_log);
-        done.losses.merge(losses.in_log(&log.name));
+    }
+    for (error, log) in &failed {
+        eprintln!("log `{}` left out of the run: {error}", log.name);
+        let kind = LossKind::LogLeftOut { error: error.code().to_owned() };
+        done.losses.add(Loss::new(kind, Subject::log(&*log.name)), 1);
     }
     let path = run.path_of(Artifact::Keyframes);
     write_keyframes(&path, &Provenance { losses: done.losses.clone(), ..provenance }, &keyframes)?;
     done.outputs.push(path);
     Ok(done)
+}
+
+/// The keyframes of a log, or why it has none.
+fn keyframes_of(
+    run: &Run,
+    log: &LogFile,
+    site: &Arc<str>,
+    trajectory: &Trajectory,
+) -> Result<Result<(Vec<Keyframe>, Losses), SubsampleError>> {
+    let (headers, _) = read_scan_headers(&run.scans(&log.name))?;
+    let candidates: Vec<Candidate> = headers
+        .iter()
+        .zip(0..)
+        .map(|(header, scan)| Candidate {
+            scan,
+            stamp_ns: header.stamp_ns,
+            coverage_deg: header.coverage_deg,
+            usable: header.usable,
+        })
+        .collect();
+    let options = &run.config.subsample;
+    Ok(subsample::subsample(options, &log.name, site, &candidates, trajectory))
 }

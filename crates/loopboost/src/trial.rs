@@ -1,0 +1,119 @@
+//! Tries the suggested pipeline of `inspect` on the log: what would `ingest` and `subsample` report?
+
+use std::sync::Arc;
+
+use anyhow::{Context, Result};
+use dataset::{Keyframe, NoteKind, Scan, StampedPose, Subject};
+use ingest::{Ingested, Log, Options, Survey};
+use subsample::Candidate;
+
+use crate::config::Config;
+use crate::findings::Findings;
+use crate::run::progress_bar;
+use crate::stage::Stage;
+
+/// What the first stages make of a log. Nothing is written.
+#[derive(Default)]
+pub(crate) struct Trial {
+    /// The poses of the lidar.
+    pub(crate) poses: Vec<StampedPose>,
+    /// The keyframes. Empty without poses.
+    pub(crate) keyframes: Vec<Keyframe>,
+    /// What the stages left out and remarked.
+    findings: Findings,
+    /// The stage that failed, and why.
+    refusal: Option<(Stage, anyhow::Error)>,
+    /// The topics that were read.
+    topics: Vec<String>,
+}
+
+impl Trial {
+    /// Ingests a drive with a pipeline and selects its keyframes. Scans are not kept.
+    pub(crate) fn run(name: &str, logs: &[Log], pipeline: &str) -> Result<Self> {
+        let config: Config =
+            toml::from_str(pipeline).context("cannot parse the suggested pipeline")?;
+        let options = config.for_log(name)?;
+        let options = Options { lidar: options.lidar, pose: options.pose };
+        let mut trial = Self { topics: topics(&options), ..Self::default() };
+        let mut candidates = Vec::new();
+        let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
+        let progress = progress_bar(n_bytes as u64, format!("try {name}"), true);
+        let ingested = ingest::ingest(
+            &logs.iter().collect::<Vec<_>>(),
+            &options,
+            |scans| {
+                add_candidates(&scans, &mut candidates);
+                anyhow::Ok(())
+            },
+            |position| progress.set_position(position),
+        );
+        progress.finish_and_clear();
+        let Ingested { trajectory, losses, notes, .. } = match ingested {
+            Ok(ingested) => ingested,
+            Err(error) => {
+                trial.refusal = Some((Stage::Ingest, error));
+                return Ok(trial);
+            }
+        };
+        trial.findings = Findings { losses, notes };
+        if options.pose.is_some() {
+            let log: Arc<str> = name.into();
+            match subsample::subsample(&config.subsample, &log, &log, &candidates, &trajectory) {
+                Ok((keyframes, losses)) => {
+                    trial.keyframes = keyframes;
+                    trial.findings.losses.merge(losses);
+                }
+                Err(error) => trial.refusal = Some((Stage::Subsample, error.into())),
+            }
+        }
+        trial.poses = trajectory.poses().to_vec();
+        Ok(trial)
+    }
+
+    /// Why `run` would refuse the pipeline.
+    pub(crate) fn refusal(&self) -> Option<String> {
+        let (stage, error) = self.refusal.as_ref()?;
+        Some(format!("`{stage}` fails: {error:#}"))
+    }
+
+    /// What the survey and the trial found.
+    ///
+    /// The trial knows more about the topics that it reads than the survey, unless it failed: it
+    /// replaces what the survey counted there. Both see damage of the file: it is counted once.
+    pub(crate) fn findings_with(&self, survey: &Survey) -> Findings {
+        let was_read = |subject: &Subject| {
+            let topic = subject.topic.as_ref();
+            self.refusal.is_none() && topic.is_some_and(|topic| self.topics.contains(topic))
+        };
+        let mut all = self.findings.clone();
+        for (loss, n) in survey.losses.iter().filter(|(loss, _)| !was_read(&loss.subject)) {
+            let counted = self.findings.losses.iter().find(|(other, _)| *other == loss);
+            all.losses.add(loss.clone(), n.saturating_sub(counted.map_or(0, |(_, n)| n)));
+        }
+        if let Some((stage, error)) = &self.refusal {
+            let (stage, error) = (stage.to_string(), format!("{error:#}"));
+            all.notes.push(NoteKind::PipelineRefused { stage, error }.into());
+        }
+        all
+    }
+}
+
+/// The topics that `ingest` reads.
+fn topics(options: &Options) -> Vec<String> {
+    let mut topics = vec![options.lidar.topic.clone()];
+    if let Some(pose) = &options.pose {
+        topics.extend([&pose.topic, &pose.wheels, &pose.imu].into_iter().flatten().cloned());
+        topics.extend(pose.frames.iter().flat_map(|frames| frames.topics.clone()));
+    }
+    topics
+}
+
+fn add_candidates(scans: &[Scan], candidates: &mut Vec<Candidate>) {
+    let first = candidates.len() as u32;
+    candidates.extend(scans.iter().zip(first..).map(|(scan, number)| Candidate {
+        scan: number,
+        stamp_ns: scan.stamp_ns,
+        coverage_deg: scan.coverage_deg,
+        usable: scan.check_usable().is_ok(),
+    }));
+}
