@@ -227,9 +227,7 @@ impl Command {
             Self::Inspect(args) => inspect::inspect(&args),
             Self::Import(args) => args.execute(),
             Self::Lineage { artifact } => done(lineage::lineage(&artifact)),
-            Self::Log { .. } => {
-                Err(usage("`loopboost log` was renamed: use `loopboost lineage`"))
-            }
+            Self::Log { .. } => Err(usage("`loopboost log` was renamed: use `loopboost lineage`")),
             Self::Verify { folder, pipeline } => {
                 let config = pipeline.map(|path| Config::load(&path, &[])).transpose()?;
                 done(lineage::verify(&folder, config.as_ref()))

@@ -65,6 +65,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     } else {
         describe(path, &drive, &survey);
         missing.iter().for_each(|missing| out!("missing: {missing}"));
+        refused.iter().for_each(|refused| out!("refused: {refused}"));
         if let Some(pipeline) = pipeline.as_ref().filter(|_| write.is_none()) {
             print_pipeline(pipeline, &suggestion, &trial);
         }
@@ -94,13 +95,12 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
 
 /// Prints the suggested pipeline, and whether `run` would refuse it.
 fn print_pipeline(pipeline: &str, suggestion: &Suggestion<'_>, trial: &Trial) {
-    match trial.refusal() {
-        Some(why) => out!("\nsuggested pipeline; `loopboost run` refuses it: {why}:\n"),
-        None if suggestion.has_poses() => {
-            out!("\nsuggested pipeline (save it with --write FILE.toml):\n");
-        }
-        None => out!("\nsuggested pipeline; before `loopboost run`, add what is missing:\n"),
-    }
+    let remark = match trial.refusal() {
+        Some(_) => "; `loopboost run` refuses it as it is",
+        None if suggestion.has_poses() => " (save it with --write FILE.toml)",
+        None => "; before `loopboost run`, add what is missing",
+    };
+    out!("\nsuggested pipeline{remark}:\n");
     out!("{}", pipeline.trim_end());
 }
 

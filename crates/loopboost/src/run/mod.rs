@@ -231,7 +231,10 @@ impl Run {
 
     /// What all stages before this one left out and remarked.
     pub(crate) fn findings_before(&self, stage: Stage) -> Result<Findings> {
-        let mut findings = Findings::from(self.losses_of_failed_logs()?);
+        let mut findings = Findings::default();
+        if Stage::Ingest < stage {
+            findings.losses = self.losses_of_failed_logs()?;
+        }
         let logs = self.ingested_logs()?;
         let manifest = self.manifest.borrow();
         for earlier in Stage::ALL.into_iter().filter(|earlier| *earlier < stage) {

@@ -44,6 +44,11 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
             Err(error) => failed.push((error, log)),
         }
     }
+    if logs.is_empty() {
+        return Err(anyhow!(
+            "none of the logs could be ingested: there are no scans to select from"
+        ));
+    }
     if failed.len() == logs.len() {
         return Err(match <[_; 1]>::try_from(failed) {
             Ok([(error, _)]) => error.into(),
