@@ -197,6 +197,9 @@ codes! {
         Warning "scans_after_poses" ScansAfterPoses => "scan{s} after the last pose";
         /// A scan in a gap between poses.
         Warning "scans_in_pose_gap" ScansInPoseGap => "scan{s} in a gap between poses";
+        /// A scan between two segments of the trajectory.
+        Warning "scans_between_segments" ScansBetweenSegments
+            => "scan{s} between two segments of the trajectory (the poses jump or the clock steps there)";
         /// A scan from which no features can be computed.
         Warning "unusable_scans" UnusableScans
             => "scan{s} with fewer than 3 returns or all returns on one line";

@@ -94,12 +94,17 @@ pub enum NoPose {
     /// The poses before and after the stamp are too far apart in time for interpolation.
     #[error("in a gap between poses")]
     Gap,
+    /// The poses before and after the stamp are in different segments.
+    #[error("between two segments of the trajectory")]
+    BetweenSegments,
 }
 
 /// Poses with strictly ascending time stamps.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trajectory {
     poses: Vec<StampedPose>,
+    /// See [`Trajectory::frame_id`].
+    frame_id: Option<String>,
 }
 
 impl Trajectory {
@@ -112,7 +117,18 @@ impl Trajectory {
         let before = poses.len();
         poses.dedup_by_key(|p| p.stamp_ns);
         let n_duplicates = before - poses.len();
-        (Self { poses }, n_duplicates)
+        (Self { poses, frame_id: None }, n_duplicates)
+    }
+
+    /// The same poses with the name of their frame.
+    #[must_use]
+    pub fn in_frame(self, frame_id: Option<String>) -> Self {
+        Self { frame_id, ..self }
+    }
+
+    /// The name of the frame that the poses are in, such as `map` or `odom`, if the log contains it.
+    pub fn frame_id(&self) -> Option<&str> {
+        self.frame_id.as_deref()
     }
 
     /// The poses, with strictly ascending time stamps.
@@ -129,8 +145,8 @@ impl Trajectory {
     ///
     /// If a pose has exactly this stamp, it is returned unchanged. Otherwise the result is
     /// interpolated between the poses before and after the stamp, which must be at most
-    /// `max_gap_ns` apart. The position is interpolated linearly, the heading along the shorter
-    /// arc.
+    /// `max_gap_ns` apart and in the same segment. The position is interpolated linearly, the heading
+    /// along the shorter arc.
     ///
     /// The covariance is interpolated linearly if both poses have one. The errors of neighbouring
     /// poses are strongly correlated: averaging two poses does not reduce the uncertainty.
@@ -146,6 +162,9 @@ impl Trajectory {
             return Err(NoPose::BeforeFirst);
         };
         let gap_ns = next.stamp_ns.saturating_sub(previous.stamp_ns);
+        if previous.segment != next.segment {
+            return Err(NoPose::BetweenSegments);
+        }
         if max_gap_ns < gap_ns {
             return Err(NoPose::Gap);
         }
@@ -223,6 +242,23 @@ mod tests {
         assert_eq!(trajectory.pose_at(101, 99), Err(NoPose::Gap));
         assert!(trajectory.pose_at(200, 0).is_ok() && trajectory.pose_at(100, 0).is_ok());
         assert_eq!(Trajectory::default().pose_at(5, 5), Err(NoPose::AfterLast));
+    }
+
+    /// A quarter of the way from 3 to 7 is 4.
+    #[test]
+    fn the_height_is_interpolated_within_a_segment_and_nothing_between_two() {
+        let with = |stamp_ns, z, segment| StampedPose { z_m: z, segment, ..at(stamp_ns, 1.0, 0.0) };
+        let (trajectory, _) = Trajectory::new(vec![
+            with(100, Some(3.0), 0),
+            with(200, Some(7.0), 0),
+            with(300, Some(9.0), 1),
+            with(400, None, 1),
+        ]);
+        let found = |stamp_ns| trajectory.stamped_pose_at(stamp_ns, 100);
+        assert_eq!(found(125).map(|p| (p.z_m, p.segment)), Ok((Some(4.0), 0)));
+        assert_eq!(found(201), Err(NoPose::BetweenSegments));
+        assert_eq!(found(300).map(|p| (p.z_m, p.segment)), Ok((Some(9.0), 1)));
+        assert_eq!(found(350).map(|p| (p.z_m, p.segment)), Ok((None, 1)));
     }
 
     #[test]

@@ -27,6 +27,7 @@
 
 mod error;
 pub mod foxglove;
+mod frame_ids;
 pub mod hdl32e;
 mod point_cloud;
 mod read;
@@ -38,6 +39,7 @@ mod types;
 mod wire;
 
 pub use error::{MessageError, Result};
+pub use frame_ids::{FrameIds, read_frame_ids};
 pub use point_cloud::{Column, PointCloud, PointField, Scalar};
 pub use read::{
     read_imu, read_joint_state, read_laser_scan, read_nav_sat_fix, read_odometry, read_point_cloud,

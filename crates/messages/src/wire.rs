@@ -152,6 +152,15 @@ impl<'a> Cursor<'a> {
         self.byte_sequence()?; // frame_id
         Ok(stamp_ns)
     }
+
+    /// Reads a `std_msgs/Header` and returns its frame.
+    pub(crate) fn header_frame_id(&mut self) -> Result<&'a str> {
+        if self.encoding == Encoding::Ros1 {
+            self.u32()?; // seq
+        }
+        self.time_ns()?;
+        self.string()
+    }
 }
 
 /// A 32-bit integer from its bytes.

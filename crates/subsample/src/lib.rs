@@ -5,6 +5,10 @@
 //! heading change of at least `turn_deg` since the last keyframe is enough too. The distance is not
 //! the path length, because path length grows with the jitter of a robot that stands still.
 //!
+//! A trajectory can have several segments, because its poses jump or its clock steps. No pose is
+//! interpolated and no path is counted between two segments. If the poses of a segment are in another
+//! frame than those before, its first usable scan is a keyframe.
+//!
 //! ```
 //! use dataset::{Pose2, StampedPose, Trajectory};
 //! use subsample::{Candidate, Options, subsample};
@@ -33,6 +37,7 @@
 //! # Ok::<(), subsample::SubsampleError>(())
 //! ```
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use dataset::{Keyframe, LossKind, Losses, NoPose, OutOfRange, Pose2, ScanId, Trajectory};
@@ -178,13 +183,19 @@ pub fn subsample(
         };
         let travel_m = match keyframes.last() {
             None => 0.0,
+            // The distance to a pose in another frame is not known.
+            Some(last) if last.frame != stamped.frame => last.travel_m,
             Some(last) => {
                 let moved_m = last.pose.distance_m(&stamped.pose);
                 let turned_rad = last.pose.heading_difference_rad(&stamped.pose);
                 if moved_m < options.spacing_m && turned_rad < turn_rad {
                     continue;
                 }
-                last.travel_m + moved_m
+                if last.segment == stamped.segment {
+                    last.travel_m + moved_m
+                } else {
+                    last.travel_m
+                }
             }
         };
         if !candidate.usable {
@@ -211,18 +222,22 @@ pub fn subsample(
     Ok((keyframes, losses))
 }
 
-/// Checks that some pose is `spacing_m` away from the first one, or turned from it by `turn_deg` if
-/// that option is set.
+/// Checks that some pose is `spacing_m` away from the first one of its frame, or turned from it by
+/// `turn_deg` if that option is set.
 fn check_moves(
     options: &Options,
     log: &Arc<str>,
     trajectory: &Trajectory,
 ) -> Result<(), SubsampleError> {
-    let Some(first) = trajectory.poses().first() else {
+    if trajectory.poses().is_empty() {
         return Err(SubsampleError::NoPoses { log: log.clone() });
-    };
+    }
+    let mut firsts: BTreeMap<u32, Pose2> = BTreeMap::new();
+    for p in trajectory.poses() {
+        firsts.entry(p.frame).or_insert(p.pose);
+    }
     let largest = |of: fn(&Pose2, &Pose2) -> f64| {
-        trajectory.poses().iter().map(|p| of(&first.pose, &p.pose)).fold(0.0, f64::max)
+        trajectory.poses().iter().map(|p| of(&firsts[&p.frame], &p.pose)).fold(0.0, f64::max)
     };
     let farthest_m = largest(Pose2::distance_m);
     let turns_enough =
@@ -241,6 +256,7 @@ fn loss_kind(why: NoPose) -> LossKind {
         NoPose::BeforeFirst => LossKind::ScansBeforePoses,
         NoPose::AfterLast => LossKind::ScansAfterPoses,
         NoPose::Gap => LossKind::ScansInPoseGap,
+        NoPose::BetweenSegments => LossKind::ScansBetweenSegments,
     }
 }
 
@@ -388,6 +404,55 @@ mod tests {
         // Scans are visited in the order of their stamps.
         let (keyframes, _) = run(&[11, 10]).unwrap();
         assert_eq!(keyframes[0].id.scan, 1);
+    }
+
+    /// The robot drives 1 m/s along x. From second 3 on, its poses are 100 m further. The scan at 2.5 s
+    /// lies between the segments. In a new frame, the scan at 3 s is a keyframe, although it would also
+    /// be one because of the distance; in the same frame, the poses at 3 s are 0.2 m from the last
+    /// keyframe, so it is not.
+    #[test]
+    fn no_path_is_counted_and_no_pose_interpolated_between_segments() {
+        let run = |jump_m: f64, frame: u32| {
+            let pose = |s: i64| {
+                let is_after = 3 <= s;
+                let x_m = s as f64 + if is_after { jump_m } else { 0.0 };
+                StampedPose {
+                    z_m: Some(0.5 * s as f64),
+                    segment: u32::from(is_after),
+                    frame: if is_after { frame } else { 0 },
+                    ..StampedPose::new(s * 1_000_000_000, Pose2 { x_m, ..Pose2::default() })
+                }
+            };
+            let (trajectory, _) = Trajectory::new((0..6).map(pose).collect());
+            let candidates: Vec<_> = (0..11)
+                .map(|scan| Candidate {
+                    scan,
+                    stamp_ns: i64::from(scan) * 500_000_000,
+                    coverage_deg: 360.0,
+                    usable: true,
+                })
+                .collect();
+            let options = Options { spacing_m: 0.9, ..Options::default() };
+            let (log, site) = ("a".into(), "a".into());
+            let (keyframes, losses) =
+                subsample(&options, &log, &site, &candidates, &trajectory).unwrap();
+            assert_eq!(
+                losses.to_string(),
+                "1 scan between two segments of the trajectory (the poses jump or the clock steps there)"
+            );
+            for k in &keyframes {
+                assert_eq!(k.z_m, Some(0.25 * f64::from(k.id.scan)));
+                assert_eq!(k.segment, u32::from(6 <= k.id.scan));
+            }
+            keyframes.iter().map(|k| (k.id.scan, k.travel_m, k.frame)).collect::<Vec<_>>()
+        };
+        let before = [(0, 0.0, 0), (2, 1.0, 0), (4, 2.0, 0)];
+        let after = |rest: &[(u32, f64, u32)]| [&before[..], rest].concat();
+        assert_eq!(run(100.0, 1), after(&[(6, 2.0, 1), (8, 3.0, 1), (10, 4.0, 1)]));
+        assert_eq!(run(-0.8, 1), after(&[(6, 2.0, 1), (8, 3.0, 1), (10, 4.0, 1)]));
+        // x is 2.2 m at 3 s, and 3.2 m at 4 s.
+        assert_eq!(run(-0.8, 0)[3].0, 8);
+        assert!((run(-0.8, 0)[3].1 - 2.0).abs() < 1e-12 && run(-0.8, 0)[4].0 == 10);
     }
 
     #[test]

@@ -111,12 +111,30 @@ pub fn write_table(
     provenance: &Provenance,
     batch: &RecordBatch,
 ) -> Result<()> {
+    write_table_with(path, kind, provenance, batch, &[])
+}
+
+/// Writes a table with further keys and values in its metadata. The prefix `loopboost.` is added to the
+/// keys.
+pub(super) fn write_table_with(
+    path: &Path,
+    kind: &str,
+    provenance: &Provenance,
+    batch: &RecordBatch,
+    further: &[(&str, &str)],
+) -> Result<()> {
+    let mut metadata = provenance.to_metadata(kind);
+    metadata.extend(
+        further
+            .iter()
+            .map(|(key, value)| KeyValue::new(format!("loopboost.{key}"), (*value).to_owned())),
+    );
     write_atomically(path, |file| {
         let failed = |e: parquet::errors::ParquetError| write_error(path, e);
         // The tables do not need an embedded Arrow schema. Without it, readers in Python show the
         // provenance as the metadata of the schema.
         let options = ArrowWriterOptions::new()
-            .with_properties(properties(provenance.to_metadata(kind)).build())
+            .with_properties(properties(metadata).build())
             .with_skip_arrow_metadata(true);
         let mut writer =
             ArrowWriter::try_new_with_options(file, batch.schema(), options).map_err(failed)?;
@@ -214,7 +232,21 @@ pub(super) fn open_table(
 
 /// Reads a complete table of the given kind, and its provenance.
 pub fn read_table(path: &Path, kind: &'static str) -> Result<(RecordBatch, Provenance)> {
+    read_table_with(path, kind, "").map(|(batch, provenance, _)| (batch, provenance))
+}
+
+/// Reads a complete table, its provenance, and the value of a key of
+/// [`write_table_with`], if the table has it.
+pub(super) fn read_table_with(
+    path: &Path,
+    kind: &'static str,
+    key: &str,
+) -> Result<(RecordBatch, Provenance, Option<String>)> {
     let (builder, provenance) = open_table(path, kind)?;
+    let key = format!("loopboost.{key}");
+    let entries = builder.metadata().file_metadata().key_value_metadata();
+    let value = entries.into_iter().flatten().find(|entry| entry.key == key);
+    let value = value.and_then(|entry| entry.value.clone());
     let schema: SchemaRef = builder.schema().clone();
     let n_rows = usize::try_from(builder.metadata().file_metadata().num_rows()).unwrap_or(0);
     let reader = builder.with_batch_size(n_rows.max(1)).build().map_err(|e| unreadable(path, e))?;
@@ -226,5 +258,5 @@ pub fn read_table(path: &Path, kind: &'static str) -> Result<(RecordBatch, Prove
     if whole.num_rows() != n_rows {
         return Err(unreadable(path, format!("read {} rows, expected {n_rows}", whole.num_rows())));
     }
-    Ok((whole, provenance))
+    Ok((whole, provenance, value))
 }

@@ -12,6 +12,7 @@ use arrow_array::{
 use arrow_schema::{DataType, Field, Schema};
 
 use super::columns::Columns;
+use super::file::{read_table_with, write_table_with};
 use super::{Provenance, Result, TableError, read_table, write_table};
 use crate::{Keyframe, Label, Pair, Pose2, ScanId, StampedPose, Trajectory};
 
@@ -45,8 +46,12 @@ const COVARIANCE: [&str; 6] = ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh",
 /// Columns of poses and keyframes that can contain nulls.
 const NULLABLE: [&str; 7] = ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh", "z_m"];
 
+/// The key in the metadata of a poses table with the name of the frame of the poses.
+const FRAME_ID: &str = "frame_id";
+
 /// Writes `poses/<log>.parquet`: the stamp, the pose, the upper triangle of the covariance of x, y
-/// and heading \[m^2, m rad, rad^2\], the height, the segment and the frame.
+/// and heading \[m^2, m rad, rad^2\], the height, the segment and the frame. The metadata contain the
+/// name of the frame in the log, as `loopboost.frame_id`.
 pub fn write_poses(
     path: &Path,
     provenance: &Provenance,
@@ -63,12 +68,14 @@ pub fn write_poses(
     ];
     columns.extend(covariance_columns(poses.iter().map(|p| p.covariance)));
     columns.extend(segment_columns(poses.iter().map(|p| (p.z_m, p.segment, p.frame))));
-    write_table(path, "poses", provenance, &batch(columns, &NULLABLE))
+    let frame_id: Vec<(&str, &str)> =
+        trajectory.frame_id().into_iter().map(|name| (FRAME_ID, name)).collect();
+    write_table_with(path, "poses", provenance, &batch(columns, &NULLABLE), &frame_id)
 }
 
 /// Reads `poses/<log>.parquet`.
 pub fn read_poses(path: &Path) -> Result<(Trajectory, Provenance)> {
-    let (batch, provenance) = read_table(path, "poses")?;
+    let (batch, provenance, frame_id) = read_table_with(path, "poses", FRAME_ID)?;
     let columns = Columns::new(path, &batch);
     let stamps = columns.numbers::<Int64Type>("stamp_ns")?;
     let x = columns.numbers::<Float64Type>("x_m")?;
@@ -88,7 +95,7 @@ pub fn read_poses(path: &Path) -> Result<(Trajectory, Provenance)> {
             frame: frames.value(row),
         })
         .collect();
-    Ok((Trajectory::new(poses).0, provenance))
+    Ok((Trajectory::new(poses).0.in_frame(frame_id), provenance))
 }
 
 fn covariance_columns(

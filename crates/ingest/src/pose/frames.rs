@@ -186,7 +186,7 @@ impl TransformHistory {
             match product(&chain, transforms) {
                 Some(parent_from_child) => {
                     n_down += usize::from(points_down(&parent_from_child));
-                    poses.push(StampedPose::new(stamp_ns, planar(&parent_from_child)));
+                    poses.push(stamped(stamp_ns, &parent_from_child));
                 }
                 None => n_unknown += 1,
             }
@@ -219,7 +219,7 @@ impl TransformHistory {
             .filter(|&stamp_ns| stamp_ns <= until_ns)
             .filter_map(|stamp_ns| {
                 let transforms = recorded.iter().map(|recorded| recorded.at_or_last(stamp_ns));
-                Some(StampedPose::new(stamp_ns, planar(&product(&chain, transforms)?)))
+                Some(stamped(stamp_ns, &product(&chain, transforms)?))
             })
             .collect();
         poses.reverse();
@@ -238,6 +238,11 @@ fn product(
         let frame_from_next = if link.is_inverted { transform.inverse() } else { transform };
         Some(parent_from_frame * frame_from_next)
     })
+}
+
+fn stamped(stamp_ns: i64, parent_from_child: &Isometry3<f64>) -> StampedPose {
+    let z_m = Some(parent_from_child.translation.z);
+    StampedPose { z_m, ..StampedPose::new(stamp_ns, planar(parent_from_child)) }
 }
 
 /// The name of a frame without the leading slash that ROS 1 allows.

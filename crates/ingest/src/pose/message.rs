@@ -19,7 +19,8 @@ pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, L
         heading_rad: yaw_rad(unit_quaternion(pose.orientation)?),
     };
     let covariance = covariance.as_ref().and_then(planar_covariance);
-    Ok(StampedPose { covariance, ..StampedPose::new(pose.stamp_ns, planar) })
+    let z_m = Some(pose.position[2]);
+    Ok(StampedPose { covariance, z_m, ..StampedPose::new(pose.stamp_ns, planar) })
 }
 
 /// The loss of a message that could not be decoded.
@@ -93,6 +94,7 @@ mod tests {
         let half = 0.5f64.sqrt();
         let pose = read([0.0, 0.0, half, half], 1.0).unwrap(); // 90 deg about z
         assert_eq!((pose.stamp_ns, pose.pose.x_m, pose.pose.y_m), (9, 1.0, 2.0));
+        assert_eq!(pose.z_m, Some(3.0));
         assert!((pose.pose.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
         let pose = read([0.0, 0.0, -0.6, 0.8], 1.0).unwrap(); // -2 asin(0.6)
         assert!((pose.pose.heading_rad + 2.0 * 0.6f64.asin()).abs() < 1e-12);
