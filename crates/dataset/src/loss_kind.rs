@@ -259,6 +259,18 @@ codes! {
             /// The first word of the line.
             keyword: String,
         } => "{keyword} line{s} not imported (unsupported message)";
+        /// A line with the same scan as another line.
+        Info "repeated_scan_lines" RepeatedScanLines {
+            /// The first word of the line.
+            keyword: String,
+        } => "{keyword} line{s} not imported (other lines have the same scans, with poses)";
+        /// The times of one kind of line cannot be used.
+        Warning "lines_without_time" LinesWithoutTime {
+            /// What the lines contain: `ODOM`, `rear scan`, ...
+            item: String,
+            /// What is wrong with the times.
+            fault: String,
+        } => "{item} line{s} not imported, because their times cannot be used ({fault})";
         /// A line that does not parse.
         Warning "malformed_lines" MalformedLines {
             /// The first word of the line.

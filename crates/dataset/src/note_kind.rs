@@ -233,5 +233,30 @@ codes! {
             /// Their total time \[s\].
             secs: f64,
         } => "{n_gaps} gaps between {sensor} samples, {secs:.1} s in total";
+
+        // Import.
+
+        /// The times of the lines of a log cannot be used.
+        Warning "stamped_by_line" StampedByLine {
+            /// What has the times: `scan`, ...
+            item: String,
+            /// Number of lines.
+            n_lines: u64,
+            /// What is wrong with the times.
+            fault: String,
+        } => "the times of the {n_lines} {item} lines cannot be used ({fault}); the messages are stamped by their line, 0.2 s from scan to scan, and each scan has the pose on its own line. Poses are right; times, speeds and rates are not";
+        /// The poses of scans are not those of the odometry.
+        Info "corrected_scan_poses" CorrectedScanPoses {
+            /// Scans with another pose than the odometry.
+            n_scans: u64,
+            /// Scans that were compared.
+            n_compared: u64,
+            /// The largest distance \[m\].
+            largest_m: f64,
+            /// The topic with the poses of the scans.
+            topic: String,
+            /// The topic with the odometry.
+            odom_topic: String,
+        } => "the poses of {n_scans} of {n_compared} scans differ from the ODOM lines of the same time by up to {largest_m:.2} m, as in a corrected log: `{topic}` has the poses of the scans, `{odom_topic}` has the ODOM lines";
     }
 }

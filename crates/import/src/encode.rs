@@ -23,7 +23,7 @@ pub(crate) fn message_type(topic: Topic) -> MessageType {
         Topic::Imu | Topic::Kvh => MessageType::Imu,
         Topic::Wheels => MessageType::JointState,
         Topic::GroundTruth | Topic::Pose => MessageType::PoseStamped,
-        Topic::Odom => MessageType::Odometry,
+        Topic::Odom | Topic::OdomLines => MessageType::Odometry,
         Topic::Scan | Topic::RearScan => MessageType::LaserScan,
     }
 }
@@ -38,7 +38,7 @@ fn frame_id(topic: Topic) -> &'static str {
         Topic::Kvh => "kvh",
         Topic::Wheels => BASE_FRAME,
         Topic::GroundTruth | Topic::Pose => "map",
-        Topic::Odom => "odom",
+        Topic::Odom | Topic::OdomLines => "odom",
         Topic::Scan => "laser",
         Topic::RearScan => "rear_laser",
     }

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | [`Format::Pcap`] | a network capture of a Velodyne sensor, libpcap or pcapng | `pcap/` |
 //! | [`Format::Nclt`] | raw files of the North Campus Long-Term data set | `nclt/` |
-//! | [`Format::Carmen`] | a log of the Carnegie Mellon Robot Navigation Toolkit | `carmen.rs` |
+//! | [`Format::Carmen`] | a log of the Carnegie Mellon Robot Navigation Toolkit | `carmen/` |
 //!
 //! Each reader streams its file from start to end. [`import`] merges the readers by time, and the
 //! memory that it needs does not grow with the length of the recording. Data that cannot be used is
@@ -49,7 +49,7 @@ mod write;
 use std::io::{Seek, Write};
 use std::path::PathBuf;
 
-use dataset::Losses;
+use dataset::{Losses, Note};
 
 pub use error::ImportError;
 pub use format::Format;
@@ -90,7 +90,8 @@ pub fn import(
     let (format, files) = sniff::files(inputs)?;
     let meter = Meter::default();
     let mut losses = Losses::default();
-    let mut sources = open(format, &files, options, &meter, &mut losses)?;
+    let mut notes = Vec::new();
+    let mut sources = open(format, &files, options, &meter, &mut losses, &mut notes)?;
 
     let mut writer = LogWriter::new(out, format, &files, options)?;
     let mut heads: Vec<Option<Record>> = Vec::with_capacity(sources.len());
@@ -104,7 +105,7 @@ pub fn import(
         progress(meter.bytes());
     }
     progress(meter.bytes());
-    writer.finish(&files, losses)
+    writer.finish(&files, losses, notes)
 }
 
 /// The index of the head with the earliest stamp. Of equal stamps, the first.
@@ -121,6 +122,7 @@ fn open(
     options: &Options,
     meter: &Meter,
     losses: &mut Losses,
+    notes: &mut Vec<Note>,
 ) -> Result<Vec<Box<dyn Source>>, ImportError> {
     let mut sources: Vec<Box<dyn Source>> = Vec::new();
     match format {
@@ -132,8 +134,11 @@ fn open(
         }
         Format::Nclt => sources = nclt::open(files, meter, losses)?,
         Format::Carmen => {
+            let mut after_ns = 0;
             for path in files {
-                sources.push(Box::new(carmen::Log::open(path, meter)?));
+                let log = carmen::Log::open(path, options, meter, after_ns, notes)?;
+                after_ns = log.end_by_line_ns().unwrap_or(after_ns);
+                sources.push(Box::new(log));
             }
         }
     }

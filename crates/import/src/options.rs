@@ -90,6 +90,8 @@ topics! {
     ground_truth GroundTruth = "/ground_truth",
     /// NCLT and CARMEN: `Odometry`.
     odom Odom = "/odom",
+    /// CARMEN: `Odometry` of the `ODOM` lines, if the poses of the scans contradict them.
+    odom_lines OdomLines = "/odom_lines",
     /// CARMEN: `LaserScan` of the front scanner.
     scan Scan = "/scan",
     /// CARMEN: `LaserScan` of the rear scanner.

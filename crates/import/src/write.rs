@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::io::{Seek, Write};
 use std::path::PathBuf;
 
-use dataset::{Loss, LossKind, Losses, Subject};
+use dataset::{Loss, LossKind, Losses, Note, Subject};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{WriteOptions, Writer};
 use messages::{Encoding, schemas};
@@ -36,6 +36,8 @@ pub struct Imported {
     /// that could not be used. Kinds of severity `Info` are harmless, for example other traffic in a
     /// capture, lines without sensor data, or stamps that step back.
     pub losses: Losses,
+    /// Remarks about data that was imported.
+    pub notes: Vec<Note>,
 }
 
 /// A topic of the log.
@@ -141,7 +143,12 @@ impl<W: Write + Seek> LogWriter<W> {
     }
 
     /// Finishes the file. It is an error if no message was written.
-    pub fn finish(mut self, files: &[PathBuf], losses: Losses) -> Result<Imported, ImportError> {
+    pub fn finish(
+        mut self,
+        files: &[PathBuf],
+        losses: Losses,
+        notes: Vec<Note>,
+    ) -> Result<Imported, ImportError> {
         let Some((start_ns, end_ns)) = self.range_ns else {
             let names: Vec<_> = files.iter().map(|path| path.display().to_string()).collect();
             let found = match losses.is_empty() {
@@ -154,7 +161,7 @@ impl<W: Write + Seek> LogWriter<W> {
                      or the port given by `--udp-port`)"
                 }
                 Format::Nclt => "packets of velodyne_hits.bin, or rows of numbers",
-                Format::Carmen => "FLASER, RLASER, ROBOTLASER1, ROBOTLASER2, ODOM or TRUEPOS lines",
+                Format::Carmen => "FLASER, RLASER, ROBOTLASER, RAWLASER, ODOM or TRUEPOS lines",
             };
             return Err(ImportError::Empty { inputs: names.join(", "), found, expected });
         };
@@ -169,6 +176,6 @@ impl<W: Write + Seek> LogWriter<W> {
             })
             .collect();
         topics.sort_by(|a, b| a.topic.cmp(&b.topic));
-        Ok(Imported { format: self.format, topics, start_ns, end_ns, losses })
+        Ok(Imported { format: self.format, topics, start_ns, end_ns, losses, notes })
     }
 }

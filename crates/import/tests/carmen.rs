@@ -185,11 +185,141 @@ fn a_truncated_log_keeps_its_complete_lines() {
     }
 }
 
+/// A corrected log: a robot at 1 m/s, corrected by 0.19 m to the side. `time` gives the time of line
+/// `k`, and `odom` whether there are `ODOM` lines.
+fn corrected(time: impl Fn(usize) -> String, odom: bool) -> String {
+    let mut text = HEAD.to_owned();
+    for k in 0..20 {
+        let (x, time) = (0.2 * k as f64, time(k));
+        if odom {
+            text += &format!("ODOM {x} 0 0 0.9 0 0 {time} h {time}\n");
+        }
+        text += &format!("FLASER 3 1.5 1.6 1.5 {x} 0.19 0 {x} 0.19 0 {time} h {time}\n");
+    }
+    text
+}
+
+/// Checks that each scan has a pose on `topic` with its own stamp, at (0.2 k, 0.19).
+fn check_own_poses(log: &Log, topic: &str) {
+    let scans: Vec<_> = log.of("/scan").collect();
+    let poses: Vec<_> = log.of(topic).collect();
+    assert_eq!((scans.len(), poses.len()), (20, 20));
+    for (k, (scan, pose)) in scans.into_iter().zip(poses).enumerate() {
+        let stamp_ns = read_laser_scan(scan.source, &scan.bytes).unwrap().stamp_ns;
+        let pose = read_pose(pose.source, &pose.bytes).unwrap();
+        assert_eq!(pose.stamp_ns, stamp_ns);
+        assert_eq!(pose.position, [0.2 * k as f64, 0.19, 0.0]);
+    }
+}
+
+fn note_codes(log: &Log) -> Vec<&str> {
+    log.imported.notes.iter().map(|note| note.code()).collect()
+}
+
+#[test]
+fn corrected_poses_of_scans_take_precedence_over_odom_lines_of_the_same_time() {
+    let log = run(&corrected(|k| format!("{:.1}", 100.0 + 0.2 * k as f64), true));
+    check_own_poses(&log, "/odom");
+    check_own_poses(&log, "/pose");
+    assert_eq!(note_codes(&log), ["corrected_scan_poses"]);
+    assert!(log.imported.notes[0].to_string().contains("20 of 20 scans"), "the poses differ");
+    let odom = log.of("/odom_lines").next().unwrap();
+    assert_eq!(read_odometry(odom.source, &odom.bytes).unwrap().linear_velocity, [0.9, 0.0, 0.0]);
+    assert_eq!(log.of("/odom_lines").count(), 20);
+    assert_eq!(log.losses(Severity::Warning), []);
+}
+
+/// Zero, negative, wrapped (a millisecond counter in 16 bits), coarse and constant times.
+#[test]
+fn a_log_whose_times_cannot_be_used_is_stamped_by_line() {
+    let times: [(fn(usize) -> String, &str); 6] = [
+        (|_| "0".to_owned(), "20 of them are 0"),
+        (|k| format!("{:.1}", 0.2 * k as f64 - 2.0), "10 of them are negative"),
+        (|k| format!("{:.3}", (60.0 + 0.7 * k as f64) % 65.536), "step back by up to 64.8 s"),
+        (|k| format!("{}", 7 + k / 5), "16 of them repeat"),
+        (|_| "1e9".to_owned(), "19 of them repeat"),
+        (|k| format!("{}", 976_052_857_000.0 + 200.0 * k as f64), "20 of them are after 2037"),
+    ];
+    for (time, fault) in times {
+        for odom in [false, true] {
+            let log = run(&corrected(time, odom));
+            check_own_poses(&log, "/odom");
+            assert_eq!(note_codes(&log), ["stamped_by_line"]);
+            assert_eq!(log.imported.notes[0].severity(), Severity::Warning);
+            assert!(log.imported.notes[0].to_string().contains(fault), "{:?}", log.imported.notes);
+            let lost: &[_] = if odom { &[("lines_without_time", 20)] } else { &[] };
+            assert_eq!(log.losses(Severity::Warning), lost);
+            // 5 scans per second.
+            let stamps: Vec<_> = log.of("/scan").map(|scan| scan.log_ns).collect();
+            assert!(stamps.windows(2).all(|pair| pair[1] - pair[0] == 200_000_000), "{stamps:?}");
+        }
+    }
+}
+
+#[test]
+fn a_few_lines_with_wrong_times_are_dropped_and_counted() {
+    let mut text = HEAD.to_owned();
+    for k in 0..400 {
+        let time = match k {
+            100 => "0".to_owned(),
+            200 => "-3.5".to_owned(),
+            _ => format!("{:.1}", 976_052_857.0 + 0.2 * f64::from(k)),
+        };
+        text += &format!("FLASER 3 1.5 1.6 1.5 {k} 0 0 {k} 0 0 {time} h 1\n");
+    }
+    let log = run(&text);
+    assert_eq!((log.of("/scan").count(), log.of("/odom").count()), (398, 398));
+    assert_eq!(
+        log.losses(Severity::Warning),
+        [("times_out_of_range", 1), ("lines_without_time", 1)]
+    );
+    assert_eq!(note_codes(&log), [""; 0]);
+}
+
+/// The scans have times, the odometry does not: the poses are those of the scans.
+#[test]
+fn odom_lines_without_times_are_left_out() {
+    let mut text = HEAD.to_owned();
+    for k in 0..20 {
+        let x = 0.2 * k as f64;
+        text += &format!("ODOM {x} 0 0 0.9 0 0 0 h 0\n");
+        let time = 100.0 + 0.2 * k as f64;
+        text += &format!("FLASER 3 1.5 1.6 1.5 {x} 0.19 0 {x} 0.19 0 {time:.1} h 1\n");
+    }
+    let log = run(&text);
+    check_own_poses(&log, "/odom");
+    assert_eq!(log.losses(Severity::Warning), [("lines_without_time", 20)]);
+}
+
+#[test]
+fn two_logs_without_times_follow_each_other() {
+    let text = corrected(|_| "0".to_owned(), false);
+    let files = [("a.log", text.as_bytes()), ("b.log", text.as_bytes())];
+    let log = import(&files, &Options::default()).unwrap();
+    let stamps: Vec<_> = log.of("/scan").map(|scan| scan.log_ns).collect();
+    assert_eq!(stamps.len(), 40);
+    assert!(stamps.windows(2).all(|pair| pair[1] - pair[0] == 200_000_000), "{stamps:?}");
+}
+
+#[test]
+fn raw_scans_are_imported_unless_other_lines_have_them() {
+    let raw = "0 -1.5707963 3.1415926 0.0174533 30.0 0.01 0 2 1.25 2.5 0 976052857.345617 h 0.1\n";
+    let odom = "ODOM 1 2 0.5 0 0 0 976052857.245617 h 0\n";
+    let log = run(&format!("{odom}RAWLASER1 {raw}RAWLASER2 {raw}"));
+    assert_eq!(topics(&log), [("/odom", 0), ("/scan", 100_000_000), ("/rear_scan", 100_000_000)]);
+    let scan = read_laser_scan(log.messages[1].source, &log.messages[1].bytes).unwrap();
+    assert_eq!((scan.ranges.as_slice(), scan.range_max), ([1.25, 2.5].as_slice(), 30.0));
+
+    let log = run(&format!("{odom}RAWLASER1 {raw}{}", flaser("1 2 0.5", "1 2 0.5", "345617")));
+    assert_eq!(topics(&log), [("/odom", 0), ("/scan", 100_000_000)]);
+    assert_eq!(log.losses(Severity::Info), [("repeated_scan_lines", 1)]);
+}
+
 proptest! {
     #[test]
     fn arbitrary_text_does_not_panic(words in "[A-Z0-9.eE \n-]{0,200}", bytes in prop::collection::vec(any::<u8>(), 0..200)) {
         let head = flaser("0 0 0", "1 0 0", "245617");
-        for keyword in ["FLASER ", "ROBOTLASER1 ", "ODOM ", ""] {
+        for keyword in ["FLASER ", "ROBOTLASER1 ", "RAWLASER1 ", "ODOM ", ""] {
             let text = [head.as_bytes(), keyword.as_bytes(), words.as_bytes(), &bytes].concat();
             let _ = import(&[("a.log", &text)], &Options::default());
         }

@@ -74,13 +74,30 @@ fn section(big_endian: bool) -> Vec<u8> {
 
 /// An interface with a time unit of `10^-digits` s, or of 1 us if `digits` is `None`.
 fn interface(link: u16, digits: Option<u8>, big_endian: bool) -> Vec<u8> {
+    interface_from(link, digits, None, big_endian)
+}
+
+/// An interface with the options `if_tsresol` and `if_tsoffset`.
+fn interface_from(
+    link: u16,
+    if_tsresol: Option<u8>,
+    if_tsoffset: Option<i64>,
+    big_endian: bool,
+) -> Vec<u8> {
     let mut body = u16_of(link, big_endian).to_vec();
     body.extend([0; 2]);
     body.extend(u32_of(0, big_endian));
-    if let Some(digits) = digits {
+    if let Some(if_tsresol) = if_tsresol {
         body.extend(u16_of(9, big_endian));
         body.extend(u16_of(1, big_endian));
-        body.extend([digits, 0, 0, 0]);
+        body.extend([if_tsresol, 0, 0, 0]);
+    }
+    if let Some(offset_s) = if_tsoffset {
+        body.extend(u16_of(14, big_endian));
+        body.extend(u16_of(8, big_endian));
+        body.extend(if big_endian { offset_s.to_be_bytes() } else { offset_s.to_le_bytes() });
+    }
+    if if_tsresol.is_some() || if_tsoffset.is_some() {
         body.extend([0; 4]);
     }
     block(1, &body, big_endian)
@@ -221,6 +238,33 @@ fn pcapng_interfaces_have_their_own_resolutions() {
             log.losses(Severity::Warning),
             [("packets_of_unknown_interface", 1), ("packets_without_time", 1)]
         );
+    }
+}
+
+/// 1700000000.5 s in units of 2^-20 s (the case of ProfiShark taps), 2^-30 s, 2^-32 s (Endace cards),
+/// 2^-1 s, 1 s and 10^-10 s.
+#[test]
+fn pcapng_resolutions_are_powers_of_two_or_ten() {
+    const HALF_SECONDS: u64 = 2 * 1_700_000_000 + 1;
+    let units = [
+        (0x94, HALF_SECONDS << 19),
+        (0x9E, HALF_SECONDS << 29),
+        (0xA0, HALF_SECONDS << 31),
+        (0x81, HALF_SECONDS),
+        (10, HALF_SECONDS * 5_000_000_000),
+    ];
+    for big_endian in [false, true] {
+        for (if_tsresol, ticks) in units {
+            let mut capture = section(big_endian);
+            capture.extend(interface(1, Some(if_tsresol), big_endian));
+            capture.extend(enhanced(0, ticks, &data_frame(0), big_endian));
+            let log = run(&capture);
+            assert_eq!(packets(&log)[0][0].0, T0_NS + 500_000_000, "{if_tsresol:#x}");
+        }
+        let mut capture = section(big_endian);
+        capture.extend(interface_from(1, Some(0x81), Some(1_600_000_000), big_endian));
+        capture.extend(enhanced(0, 2 * 100_000_000 + 1, &data_frame(0), big_endian));
+        assert_eq!(packets(&run(&capture))[0][0].0, T0_NS + 500_000_000, "with an offset");
     }
 }
 

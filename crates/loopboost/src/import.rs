@@ -84,7 +84,7 @@ impl ImportArgs {
             true => print_json(&self.out, &imported)?,
             false => print(&self.out, &imported),
         }
-        Ok(imported.losses.into())
+        Ok(Findings { losses: imported.losses, notes: imported.notes })
     }
 }
 
@@ -111,6 +111,7 @@ fn print_json(path: &Path, imported: &Imported) -> Result<()> {
         "end_ns": imported.end_ns,
         "topics": topics.collect::<Vec<_>>(),
         "losses": imported.losses,
+        "notes": imported.notes,
     });
     out!("{}", serde_json::to_string_pretty(&all)?);
     Ok(())

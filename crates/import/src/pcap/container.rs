@@ -8,7 +8,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use dataset::{Loss, LossKind, Losses, Subject};
-use pcap_parser::pcapng::{Block, EnhancedPacketBlock};
+use pcap_parser::pcapng::{Block, EnhancedPacketBlock, OptionCode, PcapNGOption};
 use pcap_parser::traits::PcapReaderIterator;
 use pcap_parser::{LegacyPcapReader, Linktype, PcapBlockOwned, PcapError, PcapNGReader};
 
@@ -52,7 +52,7 @@ pub(super) struct Frame<'a> {
 struct Interface {
     link: Linktype,
     /// The number of time units per second.
-    units: u64,
+    units: u128,
     /// The offset that is added to the times \[s\].
     offset_s: i64,
 }
@@ -64,6 +64,8 @@ pub(super) struct Frames {
     capacity: usize,
     /// The interfaces of the current section. A libpcap file has one.
     interfaces: Vec<Interface>,
+    /// The byte order of the current section of a pcapng file.
+    is_big_endian: bool,
     /// The bytes of the last frame.
     frame: Vec<u8>,
     ended: bool,
@@ -112,6 +114,7 @@ impl Frames {
             reader,
             capacity: BUFFER_BYTES,
             interfaces: Vec::new(),
+            is_big_endian: false,
             frame: Vec::new(),
             ended: false,
         })
@@ -153,7 +156,7 @@ impl Frames {
 
     /// Reads the next block. The bytes of a packet are copied to `self.frame`.
     fn event(&mut self) -> Result<Event, Stop> {
-        let Self { reader, interfaces, frame, .. } = self;
+        let Self { reader, interfaces, is_big_endian, frame, .. } = self;
         let (length, block) = match reader.next() {
             Ok(read) => read,
             Err(PcapError::Eof) => return Err(Stop::End),
@@ -173,21 +176,21 @@ impl Frames {
             PcapBlockOwned::Legacy(block) => {
                 frame.clear();
                 frame.extend_from_slice(block.data);
-                let units = interfaces.first().map_or(1, |interface| interface.units);
+                let units = interfaces.first().map_or(1, |interface| interface.units as u64);
                 let ticks = u64::from(block.ts_sec) * units + u64::from(block.ts_usec);
                 let is_truncated = block.caplen < block.origlen;
                 Event::Packet { interface: 0, ticks, is_truncated }
             }
-            PcapBlockOwned::NG(Block::SectionHeader(_)) => {
+            PcapBlockOwned::NG(Block::SectionHeader(section)) => {
                 interfaces.clear();
+                *is_big_endian = section.big_endian();
                 Event::Other
             }
             PcapBlockOwned::NG(Block::InterfaceDescription(block)) => {
                 interfaces.push(Interface {
                     link: block.linktype,
-                    // A resolution that does not fit into 64 bits gives meaningless times.
-                    units: block.ts_resolution().unwrap_or(u64::MAX),
-                    offset_s: block.ts_offset(),
+                    units: units_per_second(block.if_tsresol),
+                    offset_s: offset_s(&block.options, *is_big_endian),
                 });
                 Event::Other
             }
@@ -243,8 +246,29 @@ impl Interface {
     /// A time of this interface. A time that does not fit into 64 bits becomes the latest time, which
     /// no message can contain.
     fn stamp_ns(self, ticks: u64) -> i64 {
-        let ns = i128::from(ticks) * SECOND_NS / i128::from(self.units.max(1));
-        i64::try_from(ns + i128::from(self.offset_s) * SECOND_NS).unwrap_or(i64::MAX)
+        // The product fits: 2^64 * 10^9 < 2^94.
+        let ns = u128::from(ticks) * SECOND_NS as u128 / self.units.max(1);
+        i64::try_from(ns as i128 + i128::from(self.offset_s) * SECOND_NS).unwrap_or(i64::MAX)
+    }
+}
+
+/// The time units per second of the option `if_tsresol` (draft-ietf-opsawg-pcapng, section 4.2): a
+/// negative power of 10, or of 2 if the highest bit is set. `pcap-parser` 0.17 does not read powers of
+/// 2. Units finer than 128 bits can count make every time 0 s.
+fn units_per_second(if_tsresol: u8) -> u128 {
+    let exponent = u32::from(if_tsresol & 0x7F);
+    let base: u128 = if if_tsresol & 0x80 == 0 { 10 } else { 2 };
+    base.checked_pow(exponent).unwrap_or(u128::MAX)
+}
+
+/// The option `if_tsoffset` \[s\], which is in the byte order of the section. `pcap-parser` 0.17 reads
+/// it as little endian.
+fn offset_s(options: &[PcapNGOption<'_>], is_big_endian: bool) -> i64 {
+    let offset = options.iter().find(|option| option.code == OptionCode::IfTsoffset);
+    match offset.and_then(|option| option.value.first_chunk::<8>()) {
+        Some(bytes) if is_big_endian => i64::from_be_bytes(*bytes),
+        Some(bytes) => i64::from_le_bytes(*bytes),
+        None => 0,
     }
 }
 

@@ -1,43 +1,13 @@
-//! Logs of CARMEN, the Carnegie Mellon Robot Navigation Toolkit. Each line is a message.
-//!
-//! Sources: CARMEN's reader, `src/logger/readlog.c`, and the comments that its logger writes at the
-//! start of a log. Units are metres and radians. The robot's frame has x forward and y left.
-//!
-//! ```text
-//! FLASER n range.. laser_x laser_y laser_theta x y theta time host logger_time
-//! RLASER (same fields)
-//! ROBOTLASER1 type start_angle fov angular_resolution maximum_range accuracy remission_mode
-//!     n range.. m remission.. laser_x laser_y laser_theta x y theta
-//!     tv rv forward_safety side_safety turn_axis time host logger_time
-//! ROBOTLASER2 (same fields)
-//! ODOM x y theta tv rv acceleration time host logger_time
-//! TRUEPOS x y theta odom_x odom_y odom_theta time host logger_time
-//! ```
-//!
-//! - `FLASER` and `ROBOTLASER1` become `LaserScan`. `RLASER` and `ROBOTLASER2` become `LaserScan` of
-//!   the rear scanner. Readings are copied unchanged: a reading of `range_max` or more means no return.
-//! - `ODOM` becomes `Odometry`. In a log without `ODOM`, the robot's pose of each front scan becomes
-//!   `Odometry`.
-//! - In a corrected log, the first pose of a `FLASER` line is the corrected pose, and the second is
-//!   the odometry. If the two differ in any line of the log, the first pose of every `FLASER` line
-//!   becomes `PoseStamped`. (In a raw log, the two may differ by the mounting position of the scanner.
-//!   The `PoseStamped` then differs from the odometry by the same offset.)
-//! - `TRUEPOS`, which a simulator writes, becomes the `PoseStamped` of the ground truth.
-//! - The stamp is the time of the sensor (`time`), not the time of the logger.
+//! Parses the lines of a CARMEN log.
 
-use std::collections::VecDeque;
 use std::f64::consts::{FRAC_PI_2, PI};
-use std::path::Path;
 use std::str::SplitAsciiWhitespace;
 
-use dataset::{Loss, LossKind, Losses, Subject};
+use dataset::LossKind;
 use nalgebra::{Isometry3, Translation3};
 
 use crate::axes::from_heading;
-use crate::error::ImportError;
-use crate::input::{Lines, Meter, file_name};
-use crate::options::Topic;
-use crate::record::{Body, Record, Scan, Source, Twist, is_representable};
+use crate::record::{Scan, Twist};
 
 /// The maximum range of a `FLASER` scan \[m\]. CARMEN uses the same value (`readlog.c`,
 /// `config.maximum_range`). A SICK LMS reports 81.83 m or more if there is no return.
@@ -47,7 +17,8 @@ const MAX_READINGS: usize = 1 << 16;
 /// Keywords of lines without sensor data.
 const WITHOUT_SENSOR_DATA: [&str; 2] = ["PARAM", "SYNC"];
 /// The keywords that are imported.
-const IMPORTED: [&str; 6] = ["FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "ODOM", "TRUEPOS"];
+const IMPORTED: [&str; 8] =
+    ["FLASER", "RLASER", "ROBOTLASER1", "ROBOTLASER2", "RAWLASER1", "RAWLASER2", "ODOM", "TRUEPOS"];
 
 /// Whether a line is a message that can be imported: one of the keywords, followed by a number.
 pub(crate) fn is_message(line: &str) -> bool {
@@ -56,94 +27,14 @@ pub(crate) fn is_message(line: &str) -> bool {
         && words.next().is_some_and(|word| word.parse::<f64>().is_ok())
 }
 
-/// Reads one log.
-pub(crate) struct Log {
-    lines: Lines,
-    /// Whether the log has `ODOM` lines.
-    has_odom: bool,
-    /// Whether the two poses of any `FLASER` line differ.
-    is_corrected: bool,
-    ready: VecDeque<Record>,
-}
-
-impl Log {
-    /// Opens a log and scans it for odometry and corrected poses. [`Source::next`] reads it again.
-    pub fn open(path: &Path, meter: &Meter) -> Result<Self, ImportError> {
-        let mut ahead = Lines::open(path, &Meter::default())?;
-        let (mut has_odom, mut is_corrected) = (false, false);
-        while let Some(line) = ahead.next()?
-            && !(has_odom && is_corrected)
-        {
-            match message(&line.text) {
-                Ok(Message { content: Content::Odometry { .. }, .. }) => has_odom = true,
-                Ok(Message {
-                    content: Content::Scan { laser: Some(laser), robot, .. }, ..
-                }) => {
-                    is_corrected |= laser != robot;
-                }
-                _ => {}
-            }
-        }
-        let lines = Lines::open(path, meter)?;
-        Ok(Self { lines, has_odom, is_corrected, ready: VecDeque::new() })
-    }
-
-    /// Queues the records of a message.
-    fn push(&mut self, Message { stamp_ns, content }: Message) {
-        let mut push = |topic, body| self.ready.push_back(Record { topic, stamp_ns, body });
-        match content {
-            Content::Odometry { pose, twist } => {
-                push(Topic::Odom, Body::Odometry(pose.to_3d(), twist));
-            }
-            Content::GroundTruth(pose) => push(Topic::GroundTruth, Body::Pose(pose.to_3d())),
-            Content::Scan { scan, rear, laser, robot } => {
-                // The poses come first, because some readers need a pose before its scan.
-                if !rear && !self.has_odom {
-                    push(Topic::Odom, Body::Odometry(robot.to_3d(), Twist::default()));
-                }
-                if let Some(laser) = laser
-                    && !rear
-                    && self.is_corrected
-                {
-                    push(Topic::Pose, Body::Pose(laser.to_3d()));
-                }
-                push(if rear { Topic::RearScan } else { Topic::Scan }, Body::Scan(scan));
-            }
-        }
-    }
-}
-
-impl Log {
-    fn loss(&self, kind: LossKind) -> Loss {
-        Loss::new(kind, Subject::file(file_name(self.lines.path())))
-    }
-}
-
-impl Source for Log {
-    fn next(&mut self, losses: &mut Losses) -> Result<Option<Record>, ImportError> {
-        while self.ready.is_empty() {
-            let Some(line) = self.lines.next()? else { break };
-            match message(&line.text) {
-                Ok(message) if is_representable(message.stamp_ns) => self.push(message),
-                Ok(_) => {
-                    let kind = LossKind::TimesOutOfRange { item: "line".to_owned() };
-                    losses.add(self.loss(kind), 1);
-                }
-                Err(NoMessage::Empty) => {}
-                Err(NoMessage::Loss(kind)) => losses.add(self.loss(kind), 1),
-            }
-        }
-        Ok(self.ready.pop_front())
-    }
-}
-
 /// A parsed line.
-struct Message {
-    stamp_ns: i64,
-    content: Content,
+pub(super) struct Message {
+    /// The time of the line \[ns\]. It can be negative, or later than a ROS message can contain.
+    pub stamp_ns: i64,
+    pub content: Content,
 }
 
-enum Content {
+pub(super) enum Content {
     Odometry {
         pose: PlanarPose,
         twist: Twist,
@@ -154,12 +45,13 @@ enum Content {
         rear: bool,
         /// The first pose of a `FLASER` or `RLASER` line. It may be a corrected pose.
         laser: Option<PlanarPose>,
-        robot: PlanarPose,
+        /// The pose of the robot. `RAWLASER` lines have none.
+        robot: Option<PlanarPose>,
     },
 }
 
 /// Why a line gives no message.
-enum NoMessage {
+pub(super) enum NoMessage {
     /// The line is empty or a comment.
     Empty,
     Loss(LossKind),
@@ -167,20 +59,20 @@ enum NoMessage {
 
 /// A pose in the plane \[m, rad\].
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct PlanarPose {
-    x: f64,
-    y: f64,
-    theta: f64,
+pub(super) struct PlanarPose {
+    pub x: f64,
+    pub y: f64,
+    pub theta: f64,
 }
 
 impl PlanarPose {
-    fn to_3d(self) -> Isometry3<f64> {
+    pub fn to_3d(self) -> Isometry3<f64> {
         Isometry3::from_parts(Translation3::new(self.x, self.y, 0.0), from_heading(self.theta))
     }
 }
 
 /// Parses a line.
-fn message(line: &str) -> Result<Message, NoMessage> {
+pub(super) fn message(line: &str) -> Result<Message, NoMessage> {
     let mut words = Words(line.split_ascii_whitespace());
     let Some(keyword) = words.0.next() else { return Err(NoMessage::Empty) };
     if keyword.starts_with('#') {
@@ -194,6 +86,8 @@ fn message(line: &str) -> Result<Message, NoMessage> {
         "RLASER" => words.old_scan(true),
         "ROBOTLASER1" => words.scan(false),
         "ROBOTLASER2" => words.scan(true),
+        "RAWLASER1" => words.raw_scan(false),
+        "RAWLASER2" => words.raw_scan(true),
         "ODOM" => words.odometry(),
         _ => words.true_pose(),
     };
@@ -224,19 +118,32 @@ impl Words<'_> {
         let (laser, robot) = (self.pose()?, self.pose()?);
         let stamp_ns = self.time()?;
         let scan = Scan { angle_min, angle_increment, range_max: SICK_RANGE_MAX_M, ranges };
-        Some(Message { stamp_ns, content: Content::Scan { scan, rear, laser: Some(laser), robot } })
+        let content = Content::Scan { scan, rear, laser: Some(laser), robot: Some(robot) };
+        Some(Message { stamp_ns, content })
     }
 
     fn scan(&mut self, rear: bool) -> Option<Message> {
+        let scan = self.measured()?;
+        let (_laser, robot) = (self.pose()?, self.pose()?);
+        let [_tv, _rv, _forward, _side, _turn_axis] = self.numbers()?;
+        let stamp_ns = self.time()?;
+        let content = Content::Scan { scan, rear, laser: None, robot: Some(robot) };
+        Some(Message { stamp_ns, content })
+    }
+
+    fn raw_scan(&mut self, rear: bool) -> Option<Message> {
+        let scan = self.measured()?;
+        let stamp_ns = self.time()?;
+        Some(Message { stamp_ns, content: Content::Scan { scan, rear, laser: None, robot: None } })
+    }
+
+    /// The scanner, its readings and its remissions.
+    fn measured(&mut self) -> Option<Scan> {
         let [_type, angle_min, _fov, angle_increment, range_max, _accuracy, _remission_mode] =
             self.numbers()?;
         let ranges = self.counted()?;
         let _remissions = self.counted()?;
-        let (_laser, robot) = (self.pose()?, self.pose()?);
-        let [_tv, _rv, _forward, _side, _turn_axis] = self.numbers()?;
-        let stamp_ns = self.time()?;
-        let scan = Scan { angle_min, angle_increment, range_max: range_max as f32, ranges };
-        Some(Message { stamp_ns, content: Content::Scan { scan, rear, laser: None, robot } })
+        Some(Scan { angle_min, angle_increment, range_max: range_max as f32, ranges })
     }
 
     fn odometry(&mut self) -> Option<Message> {
@@ -296,16 +203,26 @@ fn angles_of(n_readings: usize) -> (f64, f64) {
     }
 }
 
-/// Decimal seconds as exact nanoseconds. Digits after the ninth decimal place are ignored.
+/// Decimal seconds as exact nanoseconds. Digits after the ninth decimal place are ignored. Seconds in
+/// scientific notation are rounded. A time beyond 292 years becomes the earliest or the latest time.
 fn seconds_ns(text: &str) -> Option<i64> {
-    let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
-    if !fraction.bytes().all(|b| b.is_ascii_digit()) || whole.starts_with(['-', '+']) {
+    if text.contains(['e', 'E']) {
+        let seconds: f64 = text.parse().ok()?;
+        return seconds.is_finite().then_some((seconds * 1e9).round() as i64);
+    }
+    let (sign, digits) = match text.strip_prefix('-') {
+        Some(digits) => (-1, digits),
+        None => (1, text),
+    };
+    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    let is_number = |text: &str| text.bytes().all(|b| b.is_ascii_digit());
+    if !is_number(whole) || !is_number(fraction) || whole.is_empty() {
         return None;
     }
-    let seconds: i64 = whole.parse().ok()?;
     let ns = fraction.bytes().chain(std::iter::repeat(b'0')).take(9);
     let ns = ns.fold(0, |ns, digit| ns * 10 + i64::from(digit - b'0'));
-    seconds.checked_mul(1_000_000_000)?.checked_add(ns)
+    let seconds = whole.parse().unwrap_or(i64::MAX);
+    Some(sign * seconds.saturating_mul(1_000_000_000).saturating_add(ns))
 }
 
 #[cfg(test)]
@@ -317,10 +234,13 @@ mod tests {
         assert_eq!(seconds_ns("976052857.245617"), Some(976_052_857_245_617_000));
         assert_eq!(seconds_ns("1.0000000019"), Some(1_000_000_001));
         assert_eq!(seconds_ns("12"), Some(12_000_000_000));
-        assert_eq!(seconds_ns("-1.5"), None);
-        assert_eq!(seconds_ns("1e9"), None);
-        assert_eq!(seconds_ns("."), None);
-        assert_eq!(seconds_ns("99999999999999999999"), None);
+        assert_eq!(seconds_ns("-1.5"), Some(-1_500_000_000));
+        assert_eq!(seconds_ns("-0.25"), Some(-250_000_000));
+        assert_eq!(seconds_ns("1e9"), Some(1_000_000_000_000_000_000));
+        assert_eq!(seconds_ns("99999999999999999999"), Some(i64::MAX));
+        for text in [".", "", "-", "+1", "1.2.3", "nan", "inf", "1e999", "e"] {
+            assert_eq!(seconds_ns(text), None, "{text}");
+        }
     }
 
     #[test]
