@@ -37,6 +37,7 @@ fn log(n: i64) -> Vec<u8> {
         let scan = LaserScan {
             stamp_ns,
             angle_min: -1.5,
+            angle_max: None,
             angle_increment: 0.03,
             time_increment_s: 0.0,
             range_min: 0.1,

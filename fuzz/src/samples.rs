@@ -62,6 +62,7 @@ pub fn laser_scan(stamp_ns: i64) -> LaserScan {
     LaserScan {
         stamp_ns,
         angle_min: -1.5,
+        angle_max: None,
         angle_increment: 0.5,
         time_increment_s: 0.0,
         range_min: 0.1,

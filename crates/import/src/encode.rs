@@ -90,6 +90,7 @@ pub(crate) fn encode(record: &Record) -> Vec<u8> {
             let scan = LaserScan {
                 stamp_ns,
                 angle_min: scan.angle_min,
+                angle_max: None,
                 angle_increment: scan.angle_increment,
                 time_increment_s: 0.0,
                 range_min: 0.0,

@@ -268,6 +268,7 @@ fn a_scan_with_nan_angles_is_counted() {
     let scan = LaserScan {
         stamp_ns: 5,
         angle_min: f64::NAN,
+        angle_max: None,
         angle_increment: 0.5,
         time_increment_s: 0.0,
         range_min: 0.1,

@@ -222,6 +222,7 @@ fn planar_scans_with_return_times_are_deskewed() {
     let scan = LaserScan {
         stamp_ns: 100 * MS,
         angle_min: -0.5,
+        angle_max: None,
         angle_increment: 0.01,
         time_increment_s: 0.001,
         range_min: 0.1,

@@ -43,7 +43,7 @@ pub use frame_ids::{FrameIds, read_frame_ids};
 pub use point_cloud::{Column, PointCloud, PointField, Scalar};
 pub use read::{
     read_imu, read_joint_state, read_laser_scan, read_nav_sat_fix, read_odometry, read_point_cloud,
-    read_pose, read_pose_and_covariance, read_transforms, read_velodyne,
+    read_pose, read_pose_and_covariance, read_stamp_ns, read_transforms, read_velodyne,
 };
 pub use ros::VelodyneScan;
 pub use sniff::is_plausible_message;

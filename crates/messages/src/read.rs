@@ -1,10 +1,26 @@
 //! One reader per type of data, for all message types and encodings.
 
-use crate::wire::Decoded;
+use crate::wire::{Cursor, Decoded};
 use crate::{
     Imu, JointState, LaserScan, MessageError, MessageType, NavSatFix, Odometry, PointCloud, Result,
     Source, StampedPose3, Transform, VelodyneScan, foxglove, ros,
 };
+
+/// Reads the stamp of a message \[ns since the epoch\]. It is `None` for transforms, each of which has
+/// its own stamp. Only the start of a ROS message is read.
+pub fn read_stamp_ns(source: Source, bytes: &[u8]) -> Result<Option<i64>> {
+    let Source { message_type, encoding } = source;
+    match message_type {
+        MessageType::Tf | MessageType::FoxgloveFrameTransform => Ok(None),
+        MessageType::VelodynePacket => Ok(Some(velodyne(source, bytes)?.value.stamp_ns)),
+        MessageType::FoxgloveLaserScan
+        | MessageType::FoxglovePointCloud
+        | MessageType::FoxglovePoseInFrame => {
+            foxglove::timestamp_ns(message_type, encoding, bytes).map(Some)
+        }
+        _ => Cursor::new(message_type, encoding, bytes)?.header_stamp_ns().map(Some),
+    }
+}
 
 /// Reads the packets of a `VelodyneScan`, or the packet of a `VelodynePacket`.
 pub fn read_velodyne(source: Source, bytes: &[u8]) -> Result<VelodyneScan<'_>> {

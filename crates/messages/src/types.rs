@@ -7,6 +7,9 @@ pub struct LaserScan {
     pub stamp_ns: i64,
     /// Angle of the first beam, counter-clockwise from x \[rad\].
     pub angle_min: f64,
+    /// Angle of the last beam as the message states it \[rad\]. By the other fields it is
+    /// `angle_min + (n - 1) * angle_increment`, which is also written for `None`.
+    pub angle_max: Option<f64>,
     /// Angle from one beam to the next \[rad\].
     pub angle_increment: f64,
     /// Time from one beam to the next \[s\]; 0 if unknown.
@@ -17,6 +20,13 @@ pub struct LaserScan {
     pub range_max: f32,
     /// One reading per beam \[m\]. NaN and infinite readings are not returns.
     pub ranges: Vec<f32>,
+}
+
+impl LaserScan {
+    /// Angle of the last beam by the angle of the first and the increment \[rad\].
+    pub fn last_angle(&self) -> f64 {
+        self.angle_min + self.angle_increment * self.ranges.len().saturating_sub(1) as f64
+    }
 }
 
 /// A pose with its stamp.

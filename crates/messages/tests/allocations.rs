@@ -47,6 +47,7 @@ fn messages(encoding: Encoding) -> [(MessageType, Vec<u8>); 5] {
     let laser = LaserScan {
         stamp_ns: 1,
         angle_min: 0.0,
+        angle_max: None,
         angle_increment: 0.1,
         time_increment_s: 0.0,
         range_min: 0.0,

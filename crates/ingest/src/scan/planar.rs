@@ -62,6 +62,7 @@ mod tests {
         LaserScan {
             stamp_ns: 77,
             angle_min: f64::from(-FRAC_PI_2),
+            angle_max: None,
             angle_increment: f64::from(FRAC_PI_2),
             time_increment_s: 0.0,
             range_min: 0.05,

@@ -24,6 +24,7 @@ pub fn planar(k: i64, encoding: Encoding) -> Vec<u8> {
     let scan = LaserScan {
         stamp_ns: k * 100_000_000,
         angle_min: -1.5,
+        angle_max: None,
         angle_increment: 0.5,
         time_increment_s: 0.0,
         range_min: 0.1,

@@ -43,6 +43,7 @@ pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Las
     let scan = LaserScan {
         stamp_ns: stamp_ns(TYPE, wire.timestamp)?,
         angle_min: wire.start_angle,
+        angle_max: Some(wire.end_angle),
         angle_increment,
         time_increment_s: 0.0,
         range_min: 0.0,
@@ -60,7 +61,6 @@ pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Las
 pub fn write_laser_scan(encoding: Encoding, frame_id: &str, scan: &LaserScan) -> Vec<u8> {
     let limits = scan.range_min..=scan.range_max;
     let range = |&range: &f32| if limits.contains(&range) { f64::from(range) } else { f64::NAN };
-    let n_steps = scan.ranges.len().saturating_sub(1) as f64;
     encode(
         encoding,
         &LaserScanWire {
@@ -68,7 +68,7 @@ pub fn write_laser_scan(encoding: Encoding, frame_id: &str, scan: &LaserScan) ->
             frame_id: frame_id.to_owned(),
             pose: Some(Pose::identity()),
             start_angle: scan.angle_min,
-            end_angle: scan.angle_min + scan.angle_increment * n_steps,
+            end_angle: scan.angle_max.unwrap_or(scan.last_angle()),
             ranges: scan.ranges.iter().map(range).collect(),
             intensities: Vec::new(),
         },

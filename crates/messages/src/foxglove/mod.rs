@@ -92,6 +92,23 @@ impl Pose {
     }
 }
 
+/// The start of a message. The other fields are skipped.
+#[derive(Clone, PartialEq, Message, Serialize, Deserialize)]
+#[serde(default)]
+struct TimestampWire {
+    #[prost(message, optional, tag = "1")]
+    timestamp: Option<Timestamp>,
+}
+
+/// Reads the time of a message \[ns since the epoch\].
+pub(crate) fn timestamp_ns(
+    message_type: MessageType,
+    encoding: Encoding,
+    bytes: &[u8],
+) -> Result<i64> {
+    stamp_ns(message_type, decode::<TimestampWire>(message_type, encoding, bytes)?.value.timestamp)
+}
+
 /// Decodes a complete message. The protobuf decoder skips unknown fields; their bytes count as not
 /// read.
 fn decode<T: Message + Default + DeserializeOwned>(

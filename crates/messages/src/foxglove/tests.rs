@@ -34,6 +34,7 @@ fn laser() -> LaserScan {
     LaserScan {
         stamp_ns: STAMP_NS,
         angle_min: -1.0,
+        angle_max: Some(1.0),
         angle_increment: 1.0,
         time_increment_s: 0.0,
         range_min: 0.0,
@@ -114,6 +115,15 @@ fn json_of_foxglove_is_read() {
         "pose":{"position":{"x":2.5,"y":0,"z":0},"orientation":{"x":0,"y":0,"z":0,"w":1}}}"#;
     let pose = read_pose(json(MessageType::FoxglovePoseInFrame), text).unwrap();
     assert_eq!((pose.stamp_ns, pose.position), (STAMP_NS, [2.5, 0.0, 0.0]));
+}
+
+#[test]
+fn the_stamp_is_read_without_the_rest() {
+    for encoding in BOTH {
+        let bytes = write_laser_scan(encoding, "laser", &laser());
+        let source = source(MessageType::FoxgloveLaserScan, encoding);
+        assert_eq!(read_stamp_ns(source, &bytes), Ok(Some(STAMP_NS)));
+    }
 }
 
 #[test]

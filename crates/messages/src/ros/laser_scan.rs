@@ -27,6 +27,7 @@ pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Las
     Ok(decoded.map(|wire| LaserScan {
         stamp_ns: wire.header.stamp_ns(),
         angle_min: f64::from(wire.angle_min),
+        angle_max: Some(f64::from(wire.angle_max)),
         angle_increment: f64::from(wire.angle_increment),
         time_increment_s: f64::from(wire.time_increment),
         range_min: wire.range_min,
@@ -37,16 +38,13 @@ pub(crate) fn laser_scan(encoding: Encoding, bytes: &[u8]) -> Result<Decoded<Las
 
 /// Writes a `sensor_msgs/LaserScan` without intensities. Angles and times are rounded to `f32`.
 pub fn write_laser_scan(encoding: Encoding, frame_id: &str, scan: &LaserScan) -> Vec<u8> {
-    let angle_min = scan.angle_min as f32;
-    let angle_increment = scan.angle_increment as f32;
-    let n_steps = scan.ranges.len().saturating_sub(1) as f32;
     encode(
         encoding,
         &LaserScanWire {
             header: Header::new(scan.stamp_ns, frame_id),
-            angle_min,
-            angle_max: angle_min + angle_increment * n_steps,
-            angle_increment,
+            angle_min: scan.angle_min as f32,
+            angle_max: scan.angle_max.unwrap_or(scan.last_angle()) as f32,
+            angle_increment: scan.angle_increment as f32,
             time_increment: scan.time_increment_s as f32,
             scan_time: 0.0,
             range_min: scan.range_min,

@@ -31,6 +31,7 @@ fn laser() -> LaserScan {
     LaserScan {
         stamp_ns: 5,
         angle_min: -1.5,
+        angle_max: Some(-0.5),
         angle_increment: 0.5,
         time_increment_s: 0.0009765625,
         range_min: 0.1,
@@ -176,6 +177,7 @@ fn poses_read_as_written_in_both_encodings() {
             let odometry = Odometry { frame_id: frame_id.to_owned(), ..odometry() };
             let bytes = write_odometry(encoding, &odometry);
             let of_odometry = source(MessageType::Odometry, encoding);
+            assert_eq!(read_stamp_ns(of_odometry, &bytes), Ok(Some(odometry.pose.stamp_ns)));
             assert_eq!(read_pose(of_odometry, &bytes), Ok(pose()));
             assert_eq!(read_odometry(of_odometry, &bytes), Ok(odometry));
         }

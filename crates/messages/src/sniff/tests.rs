@@ -23,6 +23,7 @@ fn a_message_is_plausible_as_its_own_type_only() {
     let laser = LaserScan {
         stamp_ns: 5,
         angle_min: -1.5,
+        angle_max: None,
         angle_increment: 0.5,
         time_increment_s: 0.0,
         range_min: 0.1,
@@ -107,6 +108,7 @@ fn messages_with_implausible_values_are_not_plausible() {
         let scan = LaserScan {
             stamp_ns: 5,
             angle_min,
+            angle_max: None,
             angle_increment: 0.5,
             time_increment_s: 0.0,
             range_min: 0.1,
