@@ -78,6 +78,7 @@ mod tests {
         LaserScan {
             stamp_ns: 5,
             angle_min: -1.5,
+            angle_max: None,
             angle_increment: 0.5,
             time_increment_s: 0.0,
             range_min: 0.1,
