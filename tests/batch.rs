@@ -67,7 +67,8 @@ fn an_unreadable_log_is_named_and_the_others_are_ingested() {
     fs::remove_file(workplace.path("logs/bag.mcap")).unwrap();
     workplace.command("ingest", "batch", &[]).expect(0);
     // A repaired log takes part again.
-    fs::copy(workplace.path("logs/one.mcap"), workplace.path("logs/bag.mcap")).unwrap();
+    let repaired = split(&workplace.path("logs/one.mcap"), 1, 1).remove(0);
+    fs::write(workplace.path("logs/bag.mcap"), repaired).unwrap();
     workplace.command("ingest", "batch", &[]).expect(0);
     workplace.command("subsample", "batch", &[]).expect(0);
     // If no log can be read, the run fails.
@@ -81,8 +82,8 @@ fn an_unreadable_log_is_named_and_the_others_are_ingested() {
     ]);
 }
 
-/// Splits the messages of a log into `n` files.
-fn split(log: &Path, n: usize) -> Vec<Vec<u8>> {
+/// Splits the messages of a log into `n` files, without the last `n_left_out` messages of each.
+fn split(log: &Path, n: usize, n_left_out: usize) -> Vec<Vec<u8>> {
     let bytes = fs::read(log).unwrap();
     let messages: Vec<_> =
         mcap::MessageStream::new(&bytes).unwrap().collect::<Result<_, _>>().unwrap();
@@ -90,7 +91,8 @@ fn split(log: &Path, n: usize) -> Vec<Vec<u8>> {
         .chunks(messages.len().div_ceil(n))
         .map(|part| {
             let mut writer = mcap::Writer::new(Cursor::new(Vec::new())).unwrap();
-            part.iter().for_each(|message| writer.write(message).unwrap());
+            let kept = &part[..part.len() - n_left_out];
+            kept.iter().for_each(|message| writer.write(message).unwrap());
             writer.finish().unwrap();
             writer.into_inner().into_inner()
         })
@@ -103,7 +105,7 @@ fn the_files_of_a_split_drive_become_one_log() {
     let whole = workplace.path("out/logs/one.mcap");
     fs::create_dir_all(workplace.path("logs/monday")).unwrap();
     // The files are sorted by time, not by name.
-    for (name, part) in ["c", "a", "b"].into_iter().zip(split(&whole, 3)) {
+    for (name, part) in ["c", "a", "b"].into_iter().zip(split(&whole, 3, 0)) {
         fs::write(workplace.path(&format!("logs/monday/{name}.mcap")), part).unwrap();
     }
     // Another drive in the same folder.
@@ -136,7 +138,7 @@ fn separate_drives_in_one_folder_stay_separate_logs() {
     fs::create_dir(workplace.path("bag")).unwrap();
     let metadata = "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n    - bag_0.mcap\n    - bag_1.mcap\n";
     fs::write(workplace.path("bag/metadata.yaml"), metadata).unwrap();
-    for (k, part) in split(&workplace.path("out/logs/one.mcap"), 2).into_iter().enumerate() {
+    for (k, part) in split(&workplace.path("out/logs/one.mcap"), 2, 0).into_iter().enumerate() {
         fs::write(workplace.path(&format!("bag/bag_{k}.mcap")), part).unwrap();
     }
     use_pipeline(&workplace, &BATCH.replace("\"logs\"", "\"bag\""));
@@ -158,8 +160,10 @@ fn separate_drives_in_one_folder_stay_separate_logs() {
 fn files_of_two_robots_are_not_mixed() {
     let workplace = simulated();
     fs::create_dir(workplace.path("logs")).unwrap();
-    for robot in ["A", "B"] {
-        for (k, part) in split(&workplace.path("out/logs/one.mcap"), 2).into_iter().enumerate() {
+    // One message less, so that the logs of the second robot are not copies of the first.
+    for (robot, n_left_out) in [("A", 0), ("B", 1)] {
+        let parts = split(&workplace.path("out/logs/one.mcap"), 2, n_left_out);
+        for (k, part) in parts.into_iter().enumerate() {
             fs::write(workplace.path(&format!("logs/{robot}_{k}.mcap")), part).unwrap();
         }
     }

@@ -34,6 +34,7 @@
 //! ```
 
 mod codes;
+mod ground;
 mod keyframe;
 mod loss_kind;
 mod losses;
@@ -50,13 +51,14 @@ mod scores;
 pub mod tables;
 
 pub use codes::{Severity, Subject};
+pub use ground::{Squares, common_frames};
 pub use keyframe::{Keyframe, ScanId};
 pub use loss_kind::LossKind;
 pub use losses::{Loss, Losses};
 pub use note_kind::NoteKind;
 pub use notes::Note;
 pub use out_of_range::OutOfRange;
-pub use pair::{Label, Pair};
+pub use pair::{Label, NEIGHBOUR_GAP_M, Pair};
 pub use pose::{NoPose, Pose2, StampedPose, Trajectory, wrap_angle};
 pub use quantile::{quantile, value_at_rank};
 pub use random::SplitMix64;

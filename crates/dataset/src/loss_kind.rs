@@ -72,6 +72,11 @@ codes! {
             /// The code of the error.
             error: String,
         } => "log{s} left out of the run ({error})";
+        /// A log has the same bytes as another.
+        Warning "duplicate_log" DuplicateLog {
+            /// The log that is used.
+            used: String,
+        } => "log{s} with the same bytes as log `{used}` (equal BLAKE3 digests): only `{used}` is used";
 
         // Messages.
 

@@ -31,6 +31,91 @@ codes! {
             error: String,
         } => "`{stage}` refuses the suggested pipeline: {error}";
 
+        // Labels.
+
+        /// One place would have more than its share of the pairs of a class.
+        Info "place_share_limited" PlaceShareLimited {
+            /// `positive` or `negative`.
+            class: String,
+            /// Pairs drawn.
+            n_pairs: u64,
+            /// Largest number of them from one place.
+            n_limit: u64,
+            /// Pairs of the place without the limit.
+            n_without: u64,
+            /// Width of a place \[m\].
+            place_m: f64,
+            /// The site of the place.
+            site: String,
+            /// Its centre \[m\].
+            x_m: f64,
+            /// Its centre \[m\].
+            y_m: f64,
+        } => "at most {n_limit} of {n_pairs} {class} pairs were drawn from one place {place_m} m wide (`label.max_place_share`); without this limit, {n_without} would be from the place at ({x_m}, {y_m}) m of site `{site}`";
+        /// The pairs of a class come from too few places.
+        Warning "few_places" FewPlaces {
+            /// `positive` or `negative`.
+            class: String,
+            /// Pairs drawn.
+            n_pairs: u64,
+            /// Largest number of them that `label.max_place_share` allows from one place.
+            n_limit: u64,
+            /// Pairs of the place with the most pairs.
+            n_largest: u64,
+            /// Places with candidates.
+            n_places: u64,
+            /// Number of pairs that can be drawn within the limit; 0 if there is none.
+            n_enough: u64,
+            /// Width of a place \[m\].
+            place_m: f64,
+            /// The site of the place with the most pairs.
+            site: String,
+            /// Its centre \[m\].
+            x_m: f64,
+            /// Its centre \[m\].
+            y_m: f64,
+        } => "{n_largest} of {n_pairs} {class} pairs are from one place {place_m} m wide, at ({x_m}, {y_m}) m of site `{site}`; expected at most {n_limit} (`label.max_place_share`), but the {n_places} places with {class} pairs have too few: add logs with {class} pairs at other places{}",
+            match n_enough {
+                0 => String::new(),
+                n => format!(", or set `label.pairs_per_class` to {n}"),
+            };
+        /// Pairs were left out because of their heights.
+        Info "pairs_at_other_height" PairsAtOtherHeight {
+            /// Pairs.
+            n_pairs: u64,
+            /// The limit \[m\].
+            max_height_difference_m: f64,
+        } => "{n_pairs} pairs close to each other in the plane are more than {max_height_difference_m} m apart in height, as on two floors: not used as positives";
+        /// Pairs were left out because of their heights, which drift or noise may explain.
+        Warning "heights_in_doubt" HeightsInDoubt {
+            /// Pairs.
+            n_pairs: u64,
+            /// The limit \[m\].
+            max_height_difference_m: f64,
+            /// Revisits within the limit.
+            n_revisits: u64,
+            /// Revisits beyond the limit.
+            n_revisits_left_out: u64,
+            /// Positives with more than half of the allowed difference.
+            n_near_limit: u64,
+        } => "{n_pairs} pairs close to each other in the plane are more than {max_height_difference_m} m apart in height and not used as positives, among them {n_revisits_left_out} of {} revisits; {n_near_limit} positives differ by more than half of this: if the robot drove on one floor, the heights drift: raise `label.max_height_difference_m`",
+            n_revisits + n_revisits_left_out;
+        /// Pairs were left out because a log has several coordinate frames.
+        Info "pairs_between_frames" PairsBetweenFrames {
+            /// Pairs.
+            n_pairs: u64,
+        } => "{n_pairs} pairs not used: the poses of at least one log are in several coordinate frames, and the position of one frame in another is not known";
+        /// Two logs have the same scans at the same poses.
+        Warning "same_scans_in_two_logs" SameScansInTwoLogs {
+            /// The other log.
+            other: String,
+            /// Keyframes with the same stamp and pose.
+            n_keyframes: u64,
+            /// Their share of the keyframes of the shorter log, 0 to 1.
+            share: f64,
+        } => "{n_keyframes} keyframes have the same stamps and poses as in log `{other}` ({:.0} % of the shorter log): the same drive is used twice; remove one of the logs",
+            share * 100.0;
+
         // Training and evaluation.
 
         /// A grouping has too few groups.

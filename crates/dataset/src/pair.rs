@@ -53,3 +53,17 @@ pub struct Pair {
     /// Distance driven between the two keyframes \[m\]; infinite if the logs differ.
     pub travel_gap_m: f64,
 }
+
+/// With less path than this between its two scans, a pair shows neighbours along the path \[m\].
+/// Such scans look alike because they were taken within seconds of each other, and a robot that
+/// looks for loop closures does not compare them. A robot that turns around within a corridor or a
+/// parking space is back at its own path after about this length.
+pub const NEIGHBOUR_GAP_M: f64 = 10.0;
+
+impl Pair {
+    /// Whether the two scans follow each other along the path of a log. Other pairs of the same
+    /// place are revisits.
+    pub fn is_neighbour(&self) -> bool {
+        self.travel_gap_m < NEIGHBOUR_GAP_M
+    }
+}

@@ -45,8 +45,12 @@ fn errors(
     let grid = &setup.options.grid;
     let no_error = |reason: String| Ok(vec![Err(reason); grid.learners.len()]);
     let pairs = match label::label(rules, setup.seed, keyframes) {
-        Ok((pairs, _)) => pairs,
-        Err(LabelError::TooFew { class, found, wanted, .. }) => {
+        Ok(labelled) => labelled.pairs,
+        Err(LabelError::TooFew { n_positive, n_negative, wanted, .. }) => {
+            let (found, class) = match n_positive < wanted as u64 {
+                true => (n_positive, "positive"),
+                false => (n_negative, "negative"),
+            };
             return no_error(format!("{found} of {wanted} {class} pairs"));
         }
         Err(error) => return Err(error.into()),

@@ -2,7 +2,7 @@
 //! held out the folds of both keyframes.
 
 use dataset::{Keyframe, Label, Retrieval};
-use label::{Folds, Grouping, label_of};
+use label::{Folds, Grouping, Rules};
 use rayon::prelude::*;
 use train::{FoldError, FoldFit, Learner};
 
@@ -21,6 +21,7 @@ pub fn retrieval(
     let Some(result) = strictest(validation).filter(|_| setup.options.retrieval) else {
         return Ok(Vec::new());
     };
+    let rules = Rules::new(setup.label, data.keyframes);
     let logs = by_log(data.keyframes);
     let n_pairs: u64 = logs.iter().map(|log| (log.len() * (log.len() - 1) / 2) as u64).sum();
     let stride = n_pairs.div_ceil(setup.options.max_pairs).max(1);
@@ -34,7 +35,7 @@ pub fn retrieval(
         let fits = Fits::new(setup, data, result, of_learner)?;
         let mut all = Confidences::default();
         for log in &logs {
-            let scored = score_log(setup, data, &result.folds, &fits, log, stride as usize);
+            let scored = score_log(setup, data, &rules, &result.folds, &fits, log, stride as usize);
             let name = &data.keyframes[log[0]].id.log;
             all.extend(&scored);
             rows.extend(measure(learner, result.grouping, Some(&**name), stride, scored));
@@ -142,6 +143,7 @@ impl Confidences {
 fn score_log(
     setup: &Setup<'_>,
     data: &Data<'_>,
+    rules: &Rules<'_>,
     folds: &Folds,
     fits: &Fits,
     log: &[usize],
@@ -169,7 +171,7 @@ fn score_log(
                         scored.n_unscored += 1;
                         continue;
                     };
-                    match label_of(setup.label, a, b) {
+                    match rules.label_of(query, reference) {
                         Some(Label::Positive) => scored.positive.push(confidence),
                         Some(Label::Negative) => scored.negative.push(confidence),
                         None => scored.ambiguous.push(confidence),

@@ -57,7 +57,7 @@ impl Road {
             ids: keyframes.iter().map(|k| k.id.clone()).collect(),
             values,
         };
-        let (pairs, _) = label::label(&label, 7, &keyframes).unwrap();
+        let pairs = label::label(&label, 7, &keyframes).unwrap().pairs;
         let differences = experiment::differences(&pairs, &features);
         Self { keyframes, features, pairs, differences, options, train, label }
     }

@@ -2,7 +2,8 @@
 //! ([`assign_folds`]).
 //!
 //! [`label`] visits each of the N (N - 1) / 2 pairs of keyframes once and decides whether it is
-//! positive, negative or ambiguous. From each class it draws a uniform sample without replacement.
+//! positive, negative or ambiguous. From each class it draws a uniform sample without replacement,
+//! with a limited share from each place.
 //! The sample is a bottom-k sketch (Cohen and Kaplan, "Summarizing data using bottom-k sketches",
 //! PODC 2007): every pair gets a pseudo-random key from the seed and its two scans, and the pairs
 //! with the smallest keys are drawn. The draw depends neither on the order of the logs nor on the
@@ -30,102 +31,40 @@
 //!     .collect();
 //!
 //! let options = label::Options { pairs_per_class: 1, ..label::Options::default() };
-//! let (pairs, candidates) = label::label(&options, 2436, &keyframes)?;
-//! assert_eq!((candidates.positive, candidates.negative), (1, 2));
-//! let positive = pairs.iter().find(|pair| pair.label == Label::Positive).unwrap();
+//! let labelled = label::label(&options, 2436, &keyframes)?;
+//! assert_eq!((labelled.candidates.positive, labelled.candidates.negative), (1, 2));
+//! let positive = labelled.pairs.iter().find(|pair| pair.label == Label::Positive).unwrap();
 //! assert_eq!((positive.query, positive.reference, positive.distance_m), (1, 0, 1.0));
 //! # Ok::<(), label::LabelError>(())
 //! ```
 
+mod copies;
 mod draw;
 mod folds;
+mod options;
+mod rules;
+mod spread;
 
-use std::sync::Arc;
-
-use dataset::{FULL_RING_DEG, Keyframe, Label, OutOfRange, Pair};
+use dataset::{Keyframe, Label, Note, NoteKind, OutOfRange, Pair, Squares};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 
 pub use folds::{FoldOptions, Folds, Grouping, assign_folds};
+pub use options::Options;
+pub use rules::{Candidates, Rules};
 
 use draw::{Draw, keyframe_hash, pair_key};
+use rules::{Heights, Kind, Tally, travel_gap_m};
+use spread::Candidate;
 
-/// The section `[label]`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "LabelOptions"))]
-#[serde(deny_unknown_fields, default)]
-pub struct Options {
-    /// A pair at most this far apart is positive \[m\].
-    pub positive_radius_m: f64,
-    /// Largest difference between the headings of a positive pair \[deg\]. Only used for scans
-    /// that see less than a full circle.
-    pub positive_heading_deg: f64,
-    /// A pair more than this far apart is negative \[m\].
-    pub negative_min_m: f64,
-    /// Least path length between the two scans of a positive pair from one log \[m\]. With 0,
-    /// neighbours along the path are positive too, as in the paper.
-    pub min_travel_gap_m: f64,
-    /// Number of pairs to draw from each class. The paper uses 1218.
-    pub pairs_per_class: usize,
-    /// Treat pairs from two different sites as negative. Sites do not share a map frame.
-    pub cross_site_negatives: bool,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            positive_radius_m: 1.5,
-            positive_heading_deg: 180.0,
-            negative_min_m: 50.0,
-            min_travel_gap_m: 0.0,
-            pairs_per_class: 1218,
-            cross_site_negatives: false,
-        }
-    }
-}
-
-impl Options {
-    /// Checks that every value is in range.
-    pub fn check(&self) -> Result<(), OutOfRange> {
-        let fail =
-            |key: &str, found: f64, expected: &str| Err(OutOfRange::new(key, found, expected));
-        let is_valid = |value: f64| value.is_finite() && 0.0 <= value;
-        if !is_valid(self.positive_radius_m) {
-            return fail("label.positive_radius_m", self.positive_radius_m, "0 or more");
-        }
-        if !is_valid(self.positive_heading_deg) || 180.0 < self.positive_heading_deg {
-            return fail("label.positive_heading_deg", self.positive_heading_deg, "0 to 180");
-        }
-        if !is_valid(self.negative_min_m) || self.negative_min_m < self.positive_radius_m {
-            return fail(
-                "label.negative_min_m",
-                self.negative_min_m,
-                "`label.positive_radius_m` or more",
-            );
-        }
-        if !is_valid(self.min_travel_gap_m) {
-            return fail("label.min_travel_gap_m", self.min_travel_gap_m, "0 or more");
-        }
-        if self.pairs_per_class == 0 {
-            return fail("label.pairs_per_class", 0.0, "1 or more");
-        }
-        Ok(())
-    }
-}
-
-/// Number of pairs of keyframes of each kind.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Candidates {
-    /// Within `positive_radius_m`, and within the limits on heading and path length.
-    pub positive: u64,
-    /// More than `negative_min_m` apart, or from two sites if `cross_site_negatives` is set.
-    pub negative: u64,
-    /// Neither positive nor negative, by distance or heading; left out.
-    pub ambiguous: u64,
-    /// Close enough, but with less than `min_travel_gap_m` of path in between; left out.
-    pub short_travel_gap: u64,
-    /// From two sites, which do not share a map frame; left out.
-    pub without_common_frame: u64,
+/// Labelled pairs, and how they were selected.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Labelled {
+    /// The drawn pairs, sorted by query and reference.
+    pub pairs: Vec<Pair>,
+    /// The number of pairs of each kind that the pairs were drawn from.
+    pub candidates: Candidates,
+    /// Remarks about the draw.
+    pub notes: Vec<Note>,
 }
 
 /// Why pairs could not be drawn or assigned to folds.
@@ -133,18 +72,18 @@ pub struct Candidates {
 pub enum LabelError {
     /// A class has fewer candidates than requested.
     #[error(
-        "found {found} {class} pairs among {n_keyframes} keyframes, but `label.pairs_per_class` asks for {wanted} ({counts}); {remedy}"
+        "found {n_positive} positive and {n_negative} negative pairs among {n_keyframes} keyframes, but `label.pairs_per_class` asks for {wanted} of each ({counts}); {remedy}"
     )]
     TooFew {
-        /// `positive` or `negative`.
-        class: &'static str,
-        /// Number of candidates of this class.
-        found: u64,
-        /// Number of pairs requested.
+        /// Number of positive candidates.
+        n_positive: u64,
+        /// Number of negative candidates.
+        n_negative: u64,
+        /// Number of pairs requested from each class.
         wanted: usize,
         /// Number of keyframes.
         n_keyframes: usize,
-        /// Number of pairs of each kind, as text.
+        /// Number of pairs that were left out, by reason, as text.
         counts: String,
         /// What the user can change.
         remedy: String,
@@ -178,167 +117,147 @@ pub enum LabelError {
     },
 }
 
-/// The outcome of the label rules for a pair of keyframes.
-enum Kind {
-    Labelled(Label),
-    Ambiguous,
-    ShortTravelGap,
-    WithoutCommonFrame,
-}
-
-/// Draws `pairs_per_class` positive and the same number of negative pairs, sorted by query and
-/// reference. Also counts the candidates.
+/// Draws `pairs_per_class` positive and the same number of negative pairs, with a limited share from
+/// each place. Also counts the candidates.
 ///
 /// Fails when an option is out of range or a class has too few candidates.
 pub fn label(
     options: &Options,
     seed: u64,
     keyframes: &[Keyframe],
-) -> Result<(Vec<Pair>, Candidates), LabelError> {
+) -> Result<Labelled, LabelError> {
     options.check()?;
+    let rules = Rules::new(options, keyframes);
     let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
     let wanted = options.pairs_per_class;
-    let start = || (Candidates::default(), Draw::new(wanted), Draw::new(wanted));
+    let start = || (Tally::default(), Draw::new(wanted), Draw::new(wanted));
 
-    let (candidates, positive, negative) = (0..keyframes.len())
+    let (tally, positive, negative) = (0..keyframes.len())
         .into_par_iter()
-        .fold(start, |(mut counts, mut positive, mut negative), query| {
+        .fold(start, |(mut tally, mut positive, mut negative), query| {
             for reference in 0..query {
                 let key = || (pair_key(hashes[query], hashes[reference]), query, reference);
-                match kind(options, &keyframes[query], &keyframes[reference]) {
-                    Kind::Labelled(Label::Positive) => {
-                        counts.positive += 1;
-                        positive.offer(key());
-                    }
-                    Kind::Labelled(Label::Negative) => {
-                        counts.negative += 1;
-                        negative.offer(key());
-                    }
-                    Kind::Ambiguous => counts.ambiguous += 1,
-                    Kind::ShortTravelGap => counts.short_travel_gap += 1,
-                    Kind::WithoutCommonFrame => counts.without_common_frame += 1,
+                let kind = rules.kind(query, reference);
+                tally.add(&rules, &kind, query, reference);
+                match kind {
+                    Kind::Labelled(Label::Positive) => positive.offer(key()),
+                    Kind::Labelled(Label::Negative) => negative.offer(key()),
+                    _ => {}
                 }
             }
-            (counts, positive, negative)
+            (tally, positive, negative)
         })
         .reduce(start, |a, b| (a.0.plus(b.0), a.1.union(b.1), a.2.union(b.2)));
 
-    check_enough(Label::Positive, candidates.positive, wanted, keyframes, candidates)?;
-    check_enough(Label::Negative, candidates.negative, wanted, keyframes, candidates)?;
-    let pair = |label| {
-        move |(query, reference): (usize, usize)| {
-            let (a, b) = (&keyframes[query], &keyframes[reference]);
-            let shares_frame = a.site == b.site;
-            Pair {
-                query,
-                reference,
-                label,
-                distance_m: if shares_frame { a.pose.distance_m(&b.pose) } else { f64::INFINITY },
-                heading_difference_rad: shares_frame
-                    .then(|| a.pose.heading_difference_rad(&b.pose)),
-                travel_gap_m: travel_gap_m(a, b),
-            }
-        }
-    };
-    let mut pairs: Vec<Pair> = positive
-        .into_pairs()
-        .map(pair(Label::Positive))
-        .chain(negative.into_pairs().map(pair(Label::Negative)))
-        .collect();
+    let candidates = tally.candidates;
+    check_enough(options, keyframes, candidates)?;
+    let (width_m, layer_m) = (options.place_m, options.max_height_difference_m);
+    let squares = Squares::new(keyframes, rules.frames(), width_m, layer_m);
+    let of_all = Candidate { rules: &rules, hashes: &hashes, squares: &squares };
+    let mut pairs: Vec<Pair> = Vec::with_capacity(2 * wanted);
+    let mut notes = Vec::new();
+    for (label, drawn) in [(Label::Positive, positive), (Label::Negative, negative)] {
+        let spread = spread::limit(&of_all, options, keyframes, label, drawn.into_pairs());
+        pairs.extend(spread.pairs.into_iter().map(|ends| pair(keyframes, label, ends)));
+        notes.extend(spread.note);
+    }
     pairs.sort_by_key(|pair| (pair.query, pair.reference));
-    Ok((pairs, candidates))
+    notes.extend(height_note(options, candidates, tally.heights));
+    notes.extend(frame_note(candidates));
+    notes.extend(copies::notes(keyframes));
+    Ok(Labelled { pairs, candidates, notes })
 }
 
-/// The label of a pair of keyframes by the rules in `options`, without the limit on the path
-/// length; the caller decides about that. `None` if the pair is ambiguous or has no common frame.
-pub fn label_of(options: &Options, a: &Keyframe, b: &Keyframe) -> Option<Label> {
-    match kind(options, a, b) {
-        Kind::Labelled(label) => Some(label),
-        Kind::ShortTravelGap => Some(Label::Positive),
-        Kind::Ambiguous | Kind::WithoutCommonFrame => None,
+fn pair(keyframes: &[Keyframe], label: Label, (query, reference): (usize, usize)) -> Pair {
+    let (a, b) = (&keyframes[query], &keyframes[reference]);
+    let shares_frame = a.site == b.site;
+    Pair {
+        query,
+        reference,
+        label,
+        distance_m: if shares_frame { a.pose.distance_m(&b.pose) } else { f64::INFINITY },
+        heading_difference_rad: shares_frame.then(|| a.pose.heading_difference_rad(&b.pose)),
+        travel_gap_m: travel_gap_m(a, b),
     }
 }
 
-fn kind(options: &Options, a: &Keyframe, b: &Keyframe) -> Kind {
-    if !same_name(&a.site, &b.site) {
-        return match options.cross_site_negatives {
-            true => Kind::Labelled(Label::Negative),
-            false => Kind::WithoutCommonFrame,
-        };
+/// Share of the revisits at another height above which the heights are in doubt. A drive on two
+/// floors has revisits on each of them; a drift in height separates nearly all revisits.
+const MOST_REVISITS: f64 = 0.9;
+
+/// Share of the pairs left out by height, above which the heights are in doubt, of pairs with more
+/// than half of the allowed difference. Between two floors there are only the pairs on ramps. Noise
+/// and drift have no gap there.
+const MANY_NEAR_LIMIT: f64 = 0.1;
+
+/// What the height limit left out, as a warning if noise or drift explain it better than floors.
+fn height_note(options: &Options, candidates: Candidates, heights: Heights) -> Option<Note> {
+    let n_pairs = candidates.other_height;
+    let max_height_difference_m = options.max_height_difference_m;
+    let Heights { upper_half, revisits, revisits_left_out } = heights;
+    if n_pairs == 0 {
+        return None;
     }
-    let distance_m = a.pose.distance_m(&b.pose);
-    if options.negative_min_m < distance_m {
-        return Kind::Labelled(Label::Negative);
-    }
-    let sees_full_circle = FULL_RING_DEG <= a.coverage_deg.min(b.coverage_deg);
-    let near = distance_m <= options.positive_radius_m
-        && (sees_full_circle
-            || a.pose.heading_difference_rad(&b.pose) <= options.positive_heading_deg.to_radians());
-    if !near {
-        Kind::Ambiguous
-    } else if travel_gap_m(a, b) < options.min_travel_gap_m {
-        Kind::ShortTravelGap
-    } else {
-        Kind::Labelled(Label::Positive)
-    }
+    let most = MOST_REVISITS * (revisits + revisits_left_out) as f64;
+    let is_drift = most < revisits_left_out as f64;
+    let has_no_gap = MANY_NEAR_LIMIT * n_pairs as f64 <= upper_half as f64;
+    Some(Note::from(match is_drift || has_no_gap {
+        false => NoteKind::PairsAtOtherHeight { n_pairs, max_height_difference_m },
+        true => NoteKind::HeightsInDoubt {
+            n_pairs,
+            max_height_difference_m,
+            n_revisits: revisits,
+            n_revisits_left_out: revisits_left_out,
+            n_near_limit: upper_half,
+        },
+    }))
 }
 
-/// Path length between two keyframes \[m\]; infinite for keyframes of two logs.
-fn travel_gap_m(a: &Keyframe, b: &Keyframe) -> f64 {
-    if same_name(&a.id.log, &b.id.log) { (a.travel_m - b.travel_m).abs() } else { f64::INFINITY }
+fn frame_note(candidates: Candidates) -> Option<Note> {
+    let n_pairs = candidates.other_frame;
+    (0 < n_pairs).then(|| NoteKind::PairsBetweenFrames { n_pairs }.into())
 }
 
-/// Compares two shared names; equal pointers save comparing the text.
-fn same_name(a: &Arc<str>, b: &Arc<str>) -> bool {
-    Arc::ptr_eq(a, b) || a == b
-}
-
-impl Candidates {
-    fn plus(self, other: Self) -> Self {
-        Self {
-            positive: self.positive + other.positive,
-            negative: self.negative + other.negative,
-            ambiguous: self.ambiguous + other.ambiguous,
-            short_travel_gap: self.short_travel_gap + other.short_travel_gap,
-            without_common_frame: self.without_common_frame + other.without_common_frame,
-        }
-    }
-}
-
+/// Checks both classes, so that one error names the number of pairs that works for both.
 fn check_enough(
-    label: Label,
-    found: u64,
-    wanted: usize,
+    options: &Options,
     keyframes: &[Keyframe],
-    counts: Candidates,
+    candidates: Candidates,
 ) -> Result<(), LabelError> {
-    if wanted as u64 <= found {
+    let wanted = options.pairs_per_class;
+    let Candidates { positive, negative, .. } = candidates;
+    let is_short = |n: u64| n < wanted as u64;
+    if !is_short(positive) && !is_short(negative) {
         return Ok(());
     }
-    let Candidates { positive, negative, ambiguous, short_travel_gap, without_common_frame } =
-        counts;
-    let (class, remedy) = match label {
-        Label::Positive => (
-            "positive",
-            "raise `label.positive_radius_m` or `label.positive_heading_deg`, lower `label.min_travel_gap_m`",
-        ),
-        Label::Negative => (
-            "negative",
-            "lower `label.negative_min_m`, give logs of one map frame the same `site`, set `label.cross_site_negatives`",
-        ),
-    };
-    let mut remedy = format!("{remedy}, or add logs");
-    if found > 0 {
-        remedy.push_str(&format!("; or set `label.pairs_per_class` to {found} or less"));
+    let mut remedies = Vec::new();
+    if is_short(positive) {
+        remedies.push(
+            "for more positive pairs, raise `label.positive_radius_m` or `label.positive_heading_deg`, or lower `label.min_travel_gap_m`",
+        );
+        if 0 < candidates.other_height {
+            remedies.push("if the heights drift, raise `label.max_height_difference_m`");
+        }
+    }
+    if is_short(negative) {
+        remedies.push(
+            "for more negative pairs, lower `label.negative_min_m`, give logs of one map frame the same `site`, or set `label.cross_site_negatives`",
+        );
+    }
+    remedies.push("or add logs");
+    let mut remedy = remedies.join("; ");
+    let enough_for_both = positive.min(negative);
+    if 0 < enough_for_both {
+        remedy.push_str(&format!(
+            "; `label.pairs_per_class = {enough_for_both}` works for both classes"
+        ));
     }
     Err(LabelError::TooFew {
-        class,
-        found,
+        n_positive: positive,
+        n_negative: negative,
         wanted,
         n_keyframes: keyframes.len(),
-        counts: format!(
-            "{positive} positive, {negative} negative, {ambiguous} ambiguous, {short_travel_gap} too close along the path, {without_common_frame} without a common frame"
-        ),
+        counts: candidates.left_out(),
         remedy,
     })
 }

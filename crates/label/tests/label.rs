@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
 use dataset::{Keyframe, Label, Pair, Pose2, ScanId};
-use label::{Candidates, FoldOptions, Grouping, LabelError, Options, assign_folds, label};
+use label::{Candidates, FoldOptions, Grouping, LabelError, Labelled, Options, assign_folds, label};
 
 /// A full-circle scan at (x, y), heading along x. The log is its own site. The path is 100 m per
 /// scan.
@@ -45,7 +45,9 @@ fn three_logs() -> Vec<Keyframe> {
 }
 
 fn options(positive_radius_m: f64, negative_min_m: f64, pairs_per_class: usize) -> Options {
-    Options { positive_radius_m, negative_min_m, pairs_per_class, ..Options::default() }
+    let max_place_share = 1.0;
+    let default = Options::default();
+    Options { positive_radius_m, negative_min_m, pairs_per_class, max_place_share, ..default }
 }
 
 /// Checks the number of pairs that are positive, negative, ambiguous, too close along the path, and
@@ -53,9 +55,17 @@ fn options(positive_radius_m: f64, negative_min_m: f64, pairs_per_class: usize) 
 #[track_caller]
 fn check(options: &Options, keyframes: &[Keyframe], counts: [u64; 5]) -> Vec<Pair> {
     let [positive, negative, ambiguous, short_travel_gap, without_common_frame] = counts;
-    let (pairs, found) = label(options, 7, keyframes).unwrap();
-    let expected =
-        Candidates { positive, negative, ambiguous, short_travel_gap, without_common_frame };
+    let Labelled { pairs, candidates: found, .. } = label(options, 7, keyframes).unwrap();
+    let (other_height, other_frame) = (0, 0);
+    let expected = Candidates {
+        positive,
+        negative,
+        ambiguous,
+        other_height,
+        short_travel_gap,
+        other_frame,
+        without_common_frame,
+    };
     assert_eq!(found, expected);
     let n = keyframes.len() as u64;
     assert_eq!(counts.iter().sum::<u64>(), n * (n - 1) / 2, "each pair is counted once");
@@ -101,7 +111,8 @@ fn the_positive_radius_is_inclusive_and_the_negative_limit_is_exclusive() {
     let beyond = 1.5f64.next_up();
     for (xs_m, missing) in [([0.0, beyond, 60.0], "positive"), ([0.0, 1.0, 50.0], "negative")] {
         let few = label(&options(1.5, 50.0, 1), 7, &line(&xs_m));
-        assert!(matches!(few, Err(LabelError::TooFew { class, found: 0, .. }) if class == missing));
+        let Err(LabelError::TooFew { n_positive, n_negative, .. }) = few else { panic!("{few:?}") };
+        assert_eq!((n_positive == 0, n_negative == 0), (missing == "positive", missing == "negative"));
     }
 }
 
@@ -190,7 +201,7 @@ fn only_logs_of_one_site_give_pairs_with_a_common_frame() {
 fn the_draw_has_the_requested_size_and_no_duplicate_pairs() {
     let keyframes = three_logs();
     for pairs_per_class in [1, 10, 200] {
-        let (pairs, _) = label(&options(1.5, 5.0, pairs_per_class), 7, &keyframes).unwrap();
+        let pairs = label(&options(1.5, 5.0, pairs_per_class), 7, &keyframes).unwrap().pairs;
         for class in [Label::Positive, Label::Negative] {
             assert_eq!(pairs.iter().filter(|p| p.label == class).count(), pairs_per_class);
         }
@@ -217,26 +228,25 @@ fn the_error_for_too_few_pairs_states_the_counts_and_the_remedy() {
     check_message(
         options(1.5, 50.0, 4),
         &[
-            "found 3 positive pairs among 5 keyframes, but `label.pairs_per_class` asks for 4",
-            "3 positive, 6 negative, 1 ambiguous, 0 too close along the path, 0 without a common frame",
+            "found 3 positive and 6 negative pairs among 5 keyframes, but `label.pairs_per_class` asks for 4 of each (not used: 1 ambiguous)",
             "raise `label.positive_radius_m`",
             "lower `label.min_travel_gap_m`",
-            "set `label.pairs_per_class` to 3 or less",
+            "`label.pairs_per_class = 3` works for both classes",
         ],
     );
     // Only the first and the last scan are more than 60 m apart.
     check_message(
         options(1.5, 60.0, 2),
         &[
-            "found 1 negative pairs among 5 keyframes, but `label.pairs_per_class` asks for 2",
+            "found 3 positive and 1 negative pairs among 5 keyframes, but `label.pairs_per_class` asks for 2",
             "lower `label.negative_min_m`",
             "the same `site`",
             "set `label.cross_site_negatives`",
-            "set `label.pairs_per_class` to 1 or less",
+            "`label.pairs_per_class = 1` works for both classes",
         ],
     );
     let none = label(&Options::default(), 7, &[]);
-    assert!(matches!(none, Err(LabelError::TooFew { found: 0, n_keyframes: 0, .. })));
+    assert!(matches!(none, Err(LabelError::TooFew { n_positive: 0, n_negative: 0, n_keyframes: 0, .. })));
 }
 
 #[test]
@@ -250,13 +260,13 @@ fn the_draw_depends_on_the_seed_and_not_on_the_number_of_threads() {
     for threads in [1, 2, 8] {
         assert!(draw(threads, 2436) == expected, "{threads} threads");
     }
-    let (other, candidates) = draw(1, 2437);
-    assert_eq!(candidates, expected.1);
+    let Labelled { pairs: other, candidates, .. } = draw(1, 2437);
+    assert_eq!(candidates, expected.candidates);
     for class in [Label::Positive, Label::Negative] {
         let of_class = |pairs: &[Pair]| {
             pairs.iter().filter(|p| p.label == class).map(|p| (p.query, p.reference)).collect()
         };
-        let (a, b): (Vec<_>, Vec<_>) = (of_class(&expected.0), of_class(&other));
+        let (a, b): (Vec<_>, Vec<_>) = (of_class(&expected.pairs), of_class(&other));
         assert!(a != b, "another seed draws another {class:?} set");
     }
 }
@@ -265,11 +275,12 @@ fn the_draw_depends_on_the_seed_and_not_on_the_number_of_threads() {
 fn the_draw_does_not_depend_on_the_order_of_the_logs() {
     let options = options(1.5, 5.0, 50);
     let keyframes = three_logs();
-    let (pairs, candidates) = label(&options, 2436, &keyframes).unwrap();
+    let Labelled { pairs, candidates, .. } = label(&options, 2436, &keyframes).unwrap();
     let logs: Vec<&[Keyframe]> = keyframes.chunks(25).collect();
     for order in [[0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0]] {
         let listed: Vec<Keyframe> = order.iter().flat_map(|&k| logs[k].to_vec()).collect();
-        let (others, counts) = label(&options, 2436, &listed).unwrap();
+        let Labelled { pairs: others, candidates: counts, .. } =
+            label(&options, 2436, &listed).unwrap();
         assert_eq!(counts, candidates);
         assert!(names(&listed, &others) == names(&keyframes, &pairs), "logs in order {order:?}");
     }
@@ -283,13 +294,13 @@ fn every_set_of_pairs_is_equally_likely() {
     keyframes[6].site = "elsewhere".into();
     keyframes[6].id.log = "b".into();
     let options = Options { cross_site_negatives: true, ..options(1.5, 50.0, 3) };
-    let (_, candidates) = label(&options, 0, &keyframes).unwrap();
+    let candidates = label(&options, 0, &keyframes).unwrap().candidates;
     assert_eq!((candidates.positive, candidates.negative), (10, 11));
 
     const SEEDS: u64 = 6000;
     let mut times: BTreeMap<(Label, Vec<(usize, usize)>), u32> = BTreeMap::new();
     for seed in 0..SEEDS {
-        let (pairs, _) = label(&options, seed, &keyframes).unwrap();
+        let pairs = label(&options, seed, &keyframes).unwrap().pairs;
         for class in [Label::Positive, Label::Negative] {
             let of_class = pairs.iter().filter(|p| p.label == class);
             let set = of_class.map(|p| (p.query, p.reference)).collect();
@@ -338,7 +349,7 @@ fn fold_options(grouping: Grouping, n_folds: u32, seed: u64) -> FoldOptions {
 
 /// The first `n_positive` positive and the first `n_negative` negative pairs of a draw.
 fn some_pairs(keyframes: &[Keyframe], n_positive: usize, n_negative: usize) -> Vec<Pair> {
-    let (pairs, _) = label(&options(1.5, 5.0, 50), 2436, keyframes).unwrap();
+    let pairs = label(&options(1.5, 5.0, 50), 2436, keyframes).unwrap().pairs;
     let first = |class, n| pairs.iter().filter(move |p| p.label == class).take(n).copied();
     first(Label::Positive, n_positive).chain(first(Label::Negative, n_negative)).collect()
 }

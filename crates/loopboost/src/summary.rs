@@ -69,12 +69,10 @@ impl fmt::Display for Summary {
             }
             Self::Labelled { n_pairs_per_class: n, candidates } => write!(
                 f,
-                "{n} of {} positive and {n} of {} negative pairs; not used: {} ambiguous, {} too close along the path, {} without a common map frame",
+                "{n} of {} positive and {n} of {} negative pairs; {}",
                 candidates.positive,
                 candidates.negative,
-                candidates.ambiguous,
-                candidates.short_travel_gap,
-                candidates.without_common_frame
+                candidates.left_out()
             ),
             Self::Featurized { set, n_features, n_keyframes } => {
                 write!(f, "{n_features} features ({set}) of {n_keyframes} keyframes")

@@ -15,7 +15,7 @@ use crate::summary::Summary;
 
 /// Version of the layout of `run.json`. A file of another version is not read, and every stage runs
 /// again.
-const FORMAT_VERSION: u32 = 3;
+const FORMAT_VERSION: u32 = 4;
 
 /// The tasks of a run folder, by name ("ingest monday", "label").
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -24,6 +24,8 @@ pub(crate) struct Manifest {
     format_version: u32,
     /// Logs that could not be ingested, with the code of the error.
     pub(crate) failed: BTreeMap<String, String>,
+    /// Logs with the same bytes as another log, with the name of that log.
+    pub(crate) copies: BTreeMap<String, String>,
     pub(crate) tasks: BTreeMap<String, Record>,
 }
 
@@ -164,8 +166,8 @@ mod tests {
             Manifest::load_existing(folder.path()).unwrap_err().to_string()
         };
         let message = load(r#"{"format_version": 2, "tasks": {"label": {"dropped": {}}}}"#);
-        assert!(message.contains("format version 2, this program reads version 3"), "{message}");
+        assert!(message.contains("format version 2, this program reads version 4"), "{message}");
         assert!(load("{").contains("is damaged"));
-        assert!(load(r#"{"format_version": 3, "tasks": []}"#).contains("is damaged"));
+        assert!(load(r#"{"format_version": 4, "tasks": []}"#).contains("is damaged"));
     }
 }

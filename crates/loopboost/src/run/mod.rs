@@ -1,6 +1,7 @@
 //! A run: a pipeline file, a run folder, and the tasks that make its artifacts.
 
 mod cache;
+mod copies;
 mod folder;
 mod manifest;
 mod plan;
@@ -198,11 +199,12 @@ impl Run {
         Ok(self.logs.get_or_init(|| logs))
     }
 
-    /// The run's logs without those that could not be ingested.
+    /// The run's logs without those that could not be ingested and those that are copies.
     pub(crate) fn ingested_logs(&self) -> Result<Vec<LogFile>> {
+        let mut logs = self.logs_without_copies()?;
         let manifest = self.manifest.borrow();
-        let failed = |log: &&LogFile| manifest.failed.contains_key(&*log.name);
-        Ok(self.logs()?.iter().filter(|log| !failed(log)).cloned().collect())
+        logs.retain(|log| !manifest.failed.contains_key(&*log.name));
+        Ok(logs)
     }
 
     /// Whether the run only prints what would run.
@@ -255,11 +257,14 @@ impl Run {
         before.and_then(Result::ok).unwrap_or_default()
     }
 
-    /// The logs of this run that could not be ingested. `run.json` may list others, which the
-    /// pipeline does not name any more.
+    /// The logs of this run that could not be ingested, and those that are copies. `run.json` may
+    /// list others, which the pipeline does not name any more.
     pub(crate) fn losses_of_failed_logs(&self) -> Result<Losses> {
-        let failed = &self.manifest.borrow().failed;
         let mut losses = Losses::default();
+        for (copy, used) in self.copies()? {
+            losses.add(Loss::new(LossKind::DuplicateLog { used }, Subject::log(copy)), 1);
+        }
+        let failed = &self.manifest.borrow().failed;
         for LogFile { name, .. } in self.logs()? {
             if let Some(error) = failed.get(&**name) {
                 let kind = LossKind::LogLeftOut { error: error.clone() };

@@ -1,3 +1,5 @@
+use std::sync::Arc;
+
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::write_scans;
 use dataset::tables::{Provenance, write_poses};
@@ -18,9 +20,10 @@ use crate::summary::Summary;
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut findings = Findings::default();
     let mut failed = Vec::new();
-    let logs = run.logs()?;
-    check_frames(run, logs)?;
-    for log in logs {
+    run.find_copies()?;
+    let logs = run.logs_without_copies()?;
+    check_frames(run, &logs)?;
+    for log in &logs {
         if let Some(missing) = log.paths.iter().find(|path| !path.exists()) {
             let error = missing_log(missing);
             if run.strict {
@@ -80,7 +83,7 @@ fn check_frames(run: &Run, logs: &[LogFile]) -> Result<()> {
             && let Some(other) = sharer(run, &log.name, &own)?
         {
             let why = "are fused from wheels and start in their own frame";
-            return Err(own_frame(&log.name, why, &own, other, "start"));
+            return Err(own_frame(&log.name, why, &own, &other, "start"));
         }
     }
     Ok(())
@@ -94,13 +97,13 @@ fn own_frame(log: &str, why: &str, own: &LogOptions, other: &str, key: &str) -> 
 }
 
 /// Another log of the same site.
-fn sharer<'a>(run: &'a Run, name: &str, own: &LogOptions) -> Result<Option<&'a str>> {
-    for other in run.logs()? {
+fn sharer(run: &Run, name: &str, own: &LogOptions) -> Result<Option<Arc<str>>> {
+    for other in run.logs_without_copies()? {
         if *other.name != *name
             && own.site.is_some()
             && run.config.for_log(&other.name)?.site == own.site
         {
-            return Ok(Some(&other.name));
+            return Ok(Some(other.name));
         }
     }
     Ok(None)
@@ -122,7 +125,7 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
             |scans| writer.push(scans).map_err(anyhow::Error::from),
             |position| progress.set_position(position),
         )?;
-        if let (true, Some(other)) = (ingested.is_own_frame, sharer) {
+        if let (true, Some(other)) = (ingested.is_own_frame, &sharer) {
             let why = "are counted from its first satellite fix";
             return Err(own_frame(&file.name, why, &own, other, "origin"));
         }

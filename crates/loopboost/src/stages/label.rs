@@ -13,11 +13,13 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
 
 fn label(run: &Run, provenance: &Provenance) -> Result<Done> {
     let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
-    let (pairs, candidates) = label::label(&run.config.label, run.config.seed, &keyframes)?;
+    let labelled = label::label(&run.config.label, run.config.seed, &keyframes)?;
+    let label::Labelled { pairs, candidates, notes } = labelled;
     let path = run.path_of(Artifact::Pairs);
-    write_pairs(&path, provenance, &keyframes, &pairs)?;
+    let provenance = Provenance { notes: notes.clone(), ..provenance.clone() };
+    write_pairs(&path, &provenance, &keyframes, &pairs)?;
     let n_pairs_per_class = run.config.label.pairs_per_class as u64;
     let summary = Summary::Labelled { n_pairs_per_class, candidates };
     // Pairs that the label rules leave out are not losses: the options ask for it.
-    Ok(Done { outputs: vec![path], summaries: vec![summary], ..Done::default() })
+    Ok(Done { outputs: vec![path], notes, summaries: vec![summary], ..Done::default() })
 }

@@ -1,0 +1,212 @@
+//! Whether two keyframes are a positive or a negative pair, or none.
+
+use std::sync::Arc;
+
+use dataset::{FULL_RING_DEG, Keyframe, Label, NEIGHBOUR_GAP_M, common_frames};
+use serde::{Deserialize, Serialize};
+
+use crate::Options;
+
+/// The label rules for the keyframes of a run.
+#[derive(Debug, Clone)]
+pub struct Rules<'a> {
+    options: &'a Options,
+    keyframes: &'a [Keyframe],
+    /// The frame of each keyframe, see [`common_frames`].
+    frames: Vec<u32>,
+}
+
+/// The outcome of the rules for a pair of keyframes.
+pub(crate) enum Kind {
+    Labelled(Label),
+    Ambiguous,
+    OtherHeight,
+    ShortTravelGap,
+    OtherFrame,
+    WithoutCommonFrame,
+}
+
+impl<'a> Rules<'a> {
+    /// The rules of some options. The options must be in range.
+    pub fn new(options: &'a Options, keyframes: &'a [Keyframe]) -> Self {
+        Self { options, keyframes, frames: common_frames(keyframes) }
+    }
+
+    /// The label of a pair of keyframes, without the limit on the path length; the caller decides
+    /// about that. `None` if the pair has no label: it is ambiguous, at different heights, or
+    /// without a common frame.
+    pub fn label_of(&self, query: usize, reference: usize) -> Option<Label> {
+        match self.kind(query, reference) {
+            Kind::Labelled(label) => Some(label),
+            Kind::ShortTravelGap => Some(Label::Positive),
+            Kind::Ambiguous | Kind::OtherHeight | Kind::OtherFrame | Kind::WithoutCommonFrame => {
+                None
+            }
+        }
+    }
+
+    /// The frame of each keyframe, `(n_keyframes,)`.
+    pub(crate) fn frames(&self) -> &[u32] {
+        &self.frames
+    }
+
+    #[inline]
+    pub(crate) fn kind(&self, query: usize, reference: usize) -> Kind {
+        let Self { options, keyframes, frames } = self;
+        let (a, b) = (&keyframes[query], &keyframes[reference]);
+        if frames[query] != frames[reference] {
+            return if same_name(&a.site, &b.site) {
+                Kind::OtherFrame
+            } else if options.cross_site_negatives {
+                Kind::Labelled(Label::Negative)
+            } else {
+                Kind::WithoutCommonFrame
+            };
+        }
+        let distance_m = a.pose.distance_m(&b.pose);
+        if options.negative_min_m < distance_m {
+            return Kind::Labelled(Label::Negative);
+        }
+        let sees_full_circle = FULL_RING_DEG <= a.coverage_deg.min(b.coverage_deg);
+        let near = distance_m <= options.positive_radius_m
+            && (sees_full_circle
+                || a.pose.heading_difference_rad(&b.pose)
+                    <= options.positive_heading_deg.to_radians());
+        if !near {
+            Kind::Ambiguous
+        } else if height_difference_m(a, b).is_some_and(|m| options.max_height_difference_m < m) {
+            Kind::OtherHeight
+        } else if travel_gap_m(a, b) < options.min_travel_gap_m {
+            Kind::ShortTravelGap
+        } else {
+            Kind::Labelled(Label::Positive)
+        }
+    }
+}
+
+/// Number of pairs of keyframes of each kind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Candidates {
+    /// Within `positive_radius_m`, and within the limits on heading, height and path length.
+    pub positive: u64,
+    /// More than `negative_min_m` apart, or from two sites if `cross_site_negatives` is set.
+    pub negative: u64,
+    /// Neither positive nor negative, by distance or heading; left out.
+    pub ambiguous: u64,
+    /// Close enough in the plane, but more than `max_height_difference_m` apart in height; left
+    /// out.
+    pub other_height: u64,
+    /// Close enough, but with less than `min_travel_gap_m` of path in between; left out.
+    pub short_travel_gap: u64,
+    /// From one site, but not from one coordinate frame: one of the logs has several; left out.
+    pub other_frame: u64,
+    /// From two sites, which do not share a map frame; left out.
+    pub without_common_frame: u64,
+}
+
+impl Candidates {
+    /// The pairs of neither class, by reason, as text.
+    pub fn left_out(&self) -> String {
+        let mut text = format!("not used: {} ambiguous", self.ambiguous);
+        for (n, reason) in [
+            (self.other_height, "at another height"),
+            (self.short_travel_gap, "too close along the path"),
+            (self.other_frame, "in two coordinate frames of a log"),
+            (self.without_common_frame, "without a common map frame"),
+        ] {
+            if 0 < n {
+                text.push_str(&format!(", {n} {reason}"));
+            }
+        }
+        text
+    }
+}
+
+/// The number of pairs of each kind, and what the heights of pairs that are close in the plane
+/// look like.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Tally {
+    pub(crate) candidates: Candidates,
+    pub(crate) heights: Heights,
+}
+
+/// Pairs that are close in the plane and have a height.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Heights {
+    /// Positives with a height difference of more than half the limit.
+    pub(crate) upper_half: u64,
+    /// Positives that do not follow each other along the path.
+    pub(crate) revisits: u64,
+    /// The same, but left out because of their heights.
+    pub(crate) revisits_left_out: u64,
+}
+
+impl Tally {
+    #[inline]
+    pub(crate) fn add(&mut self, rules: &Rules<'_>, kind: &Kind, query: usize, reference: usize) {
+        let of = &mut self.candidates;
+        let count = match kind {
+            Kind::Labelled(Label::Positive) => &mut of.positive,
+            Kind::Labelled(Label::Negative) => &mut of.negative,
+            Kind::Ambiguous => &mut of.ambiguous,
+            Kind::OtherHeight => &mut of.other_height,
+            Kind::ShortTravelGap => &mut of.short_travel_gap,
+            Kind::OtherFrame => &mut of.other_frame,
+            Kind::WithoutCommonFrame => &mut of.without_common_frame,
+        };
+        *count += 1;
+        if matches!(kind, Kind::Labelled(Label::Positive) | Kind::OtherHeight) {
+            self.add_height(rules, query, reference);
+        }
+    }
+
+    fn add_height(&mut self, rules: &Rules<'_>, query: usize, reference: usize) {
+        let (a, b) = (&rules.keyframes[query], &rules.keyframes[reference]);
+        let Some(difference_m) = height_difference_m(a, b) else { return };
+        let limit_m = rules.options.max_height_difference_m;
+        let is_revisit = NEIGHBOUR_GAP_M <= travel_gap_m(a, b);
+        let heights = &mut self.heights;
+        if limit_m < difference_m {
+            heights.revisits_left_out += u64::from(is_revisit);
+        } else {
+            heights.revisits += u64::from(is_revisit);
+            heights.upper_half += u64::from(limit_m / 2.0 < difference_m);
+        }
+    }
+
+    pub(crate) fn plus(self, other: Self) -> Self {
+        let (a, b) = (self.candidates, other.candidates);
+        let (c, d) = (self.heights, other.heights);
+        Self {
+            candidates: Candidates {
+                positive: a.positive + b.positive,
+                negative: a.negative + b.negative,
+                ambiguous: a.ambiguous + b.ambiguous,
+                other_height: a.other_height + b.other_height,
+                short_travel_gap: a.short_travel_gap + b.short_travel_gap,
+                other_frame: a.other_frame + b.other_frame,
+                without_common_frame: a.without_common_frame + b.without_common_frame,
+            },
+            heights: Heights {
+                upper_half: c.upper_half + d.upper_half,
+                revisits: c.revisits + d.revisits,
+                revisits_left_out: c.revisits_left_out + d.revisits_left_out,
+            },
+        }
+    }
+}
+
+/// Difference between the heights \[m\]; `None` if one of them is not known.
+fn height_difference_m(a: &Keyframe, b: &Keyframe) -> Option<f64> {
+    Some((a.z_m? - b.z_m?).abs())
+}
+
+/// Path length between two keyframes \[m\]; infinite for keyframes of two logs.
+pub(crate) fn travel_gap_m(a: &Keyframe, b: &Keyframe) -> f64 {
+    if same_name(&a.id.log, &b.id.log) { (a.travel_m - b.travel_m).abs() } else { f64::INFINITY }
+}
+
+/// Compares two shared names; equal pointers save comparing the text.
+fn same_name(a: &Arc<str>, b: &Arc<str>) -> bool {
+    Arc::ptr_eq(a, b) || a == b
+}
