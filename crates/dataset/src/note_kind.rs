@@ -127,6 +127,15 @@ codes! {
             /// Groups found.
             n_found: u64,
         } => "grouping `{grouping}` not evaluated: it needs 2 {groups} or more, found {n_found}; add logs, or remove `{grouping}` from `evaluate.groupings`";
+        /// A grouping has two groups, and pairs between them.
+        Warning "two_groups" TwoGroups {
+            /// The grouping, by name.
+            grouping: String,
+            /// What its groups are: `logs`, `places`, ...
+            groups: String,
+            /// Pairs between the two groups.
+            n_pairs: u64,
+        } => "grouping `{grouping}` not evaluated: {n_pairs} pairs are between the 2 {groups} and hold out both, which leaves no pairs to train on; add a third, or remove `{grouping}` from `evaluate.groupings`";
         /// A class has fewer pairs than there are folds.
         Warning "too_few_pairs_for_folds" TooFewPairsForFolds {
             /// The grouping, by name.
@@ -146,7 +155,7 @@ codes! {
             n_positive: u64,
             /// Negative pairs left.
             n_negative: u64,
-        } => "grouping `{grouping}` not evaluated: {n_positive} positive and {n_negative} negative pairs are left to train on, expected both classes; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or remove `{grouping}` from `evaluate.groupings`";
+        } => "grouping `{grouping}` not evaluated: {n_positive} positive and {n_negative} negative pairs are left to train on, expected both classes; raise `label.pairs_per_class`, lower `evaluate.place_m` or `evaluate.place_margin_m`, add logs, or remove `{grouping}` from `evaluate.groupings`";
         /// A learner cannot be fitted without some folds.
         Warning "grouping_not_trainable" GroupingNotTrainable {
             /// The grouping, by name.

@@ -13,6 +13,8 @@ pub struct Scores {
     pub groups: Vec<[u32; 2]>,
     /// Folds of the query and the reference of each pair, `(n_pairs, 2)`.
     pub folds: Vec<[u32; 2]>,
+    /// Number of pairs that the classifier which scored each pair was trained on, `(n_pairs,)`.
+    pub n_training: Vec<u32>,
     /// Confidence of each pair after each round, row-major, `(n_pairs, n_rounds)`.
     pub confidences: Vec<f64>,
 }

@@ -201,6 +201,7 @@ fn scores_are_read_as_written() {
         n_rounds: 2,
         groups: vec![[3, 4], [3, 5]],
         folds: vec![[0, 1], [0, 0]],
+        n_training: vec![7, 9],
         confidences: vec![0.5, 1.5, -0.5, -2.5],
     }];
     write_scores(&at("scores"), &provenance(), &keyframes(), &pairs, &scores).unwrap();

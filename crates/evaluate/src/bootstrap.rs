@@ -6,6 +6,13 @@
 //! of Applied Statistics 1(2)). The weight of a pair within one group is the number of times that
 //! the group was drawn. Classifiers are not trained again: the intervals cover the variation over
 //! pairs and places, not over training runs.
+//!
+//! A bootstrap cannot estimate everything. Without a single error, every resample is perfect too,
+//! and the interval would have no width: [`exact`](crate::exact) gives the interval instead. The
+//! recall without false alarms depends on one pair, the negative with the highest confidence. The
+//! bootstrap of such an extreme value is wrong for any number of pairs (Bickel and Freedman 1981,
+//! "Some asymptotic theory for the bootstrap", Annals of Statistics 9(6), section 6), so it has no
+//! interval.
 
 use std::collections::BTreeMap;
 
@@ -13,20 +20,28 @@ use dataset::{Label, Scores, SplitMix64, quantile};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::metrics::{Measures, Ranking};
+use crate::exact;
+use crate::metrics::{MAX_FALSE_ALARM, Measures, Ranking};
 
 /// Least number of groups for an interval. Fewer do not show the variation between groups.
 pub const MIN_GROUPS: usize = 5;
 
 /// Share of the resamples inside an interval.
-const COVERED: f64 = 0.95;
+pub(crate) const COVERED: f64 = 0.95;
+
+/// Least number of false alarms that 1 % of the negatives must allow for an interval of the
+/// detection rate. With fewer, the threshold is almost an extreme value. (The same number of
+/// expected events is commonly required for the normal approximation of a binomial.)
+const MIN_ALLOWED_ALARMS: f64 = 5.0;
 
 /// A value and its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
     /// Value on all pairs.
     pub value: f64,
-    /// The 2.5 % and 97.5 % quantiles of the resamples; `None` with fewer than [`MIN_GROUPS`] groups.
+    /// The 2.5 % and 97.5 % quantiles of the resamples, or the exact interval if the value is
+    /// perfect. `None` with fewer than [`MIN_GROUPS`] groups, and where a bootstrap cannot estimate
+    /// the interval.
     pub interval: Option<[f64; 2]>,
 }
 
@@ -81,19 +96,19 @@ pub(crate) fn summaries(
             groupings.push(&s.grouping);
         }
     }
-    let mut of_grouping: BTreeMap<&str, (usize, Vec<Vec<f64>>)> = BTreeMap::new();
+    let mut of_grouping: BTreeMap<&str, (Groups, Vec<Vec<f64>>)> = BTreeMap::new();
     for grouping in groupings {
         let Some(first) = scores.iter().find(|s| s.grouping == grouping) else { continue };
         let groups = Groups::new(&first.groups);
         let n = if MIN_GROUPS <= groups.n { resamples } else { 0 };
         let weights = (0..n).into_par_iter().map(|k| groups.resample(seed, k)).collect();
-        of_grouping.insert(grouping, (groups.n, weights));
+        of_grouping.insert(grouping, (groups, weights));
     }
     scores
         .par_iter()
         .filter_map(|s| {
-            let (n_groups, weights) = &of_grouping[&*s.grouping];
-            summary(labels, s, *n_groups, weights)
+            let (groups, weights) = &of_grouping[&*s.grouping];
+            summary(labels, s, groups, weights)
         })
         .collect()
 }
@@ -101,7 +116,7 @@ pub(crate) fn summaries(
 fn summary(
     labels: &[Label],
     scores: &Scores,
-    n_groups: usize,
+    groups: &Groups,
     weights: &[Vec<f64>],
 ) -> Option<Summary> {
     let confidences: Vec<f64> = scores.after(scores.n_rounds).collect();
@@ -113,30 +128,40 @@ fn summary(
     // A resample without positives has no measures.
     let resampled: Vec<[f64; 5]> =
         weights.par_iter().filter_map(|w| ranking.measure(w)).map(values).collect();
-    let estimate = |k: usize| Estimate {
-        value: of_all[k],
-        interval: interval(resampled.iter().map(|r| r[k]).collect()),
+    let sample = (!weights.is_empty()).then(|| exact::Sample::new(labels, &groups.of_pairs));
+    let n_negative = labels.iter().filter(|&&label| label == Label::Negative).count();
+    let has_threshold = MIN_ALLOWED_ALARMS <= MAX_FALSE_ALARM * n_negative as f64;
+    let estimate = |k: usize, perfect: Option<fn(&exact::Sample) -> [f64; 2]>| {
+        let value = of_all[k];
+        let is_perfect = value == if k == 0 { 0.0 } else { 1.0 };
+        let interval = match (perfect, &sample) {
+            (None, _) | (_, None) => None,
+            (Some(exact), Some(sample)) if is_perfect => Some(exact(sample)),
+            _ => interval(resampled.iter().map(|r| r[k]).collect()),
+        };
+        Estimate { value, interval }
     };
     Some(Summary {
         learner: scores.learner.clone(),
         grouping: scores.grouping.clone(),
         rounds: scores.n_rounds,
         folds: scores.folds.iter().flatten().max().map_or(0, |fold| fold + 1),
-        groups: n_groups,
-        error: estimate(0),
-        average_precision: estimate(1),
-        recall_at_full_precision: estimate(2),
-        detection_at_1_percent: estimate(3),
-        max_f1: estimate(4),
+        groups: groups.n,
+        error: estimate(0, Some(exact::Sample::error)),
+        average_precision: estimate(1, Some(exact::Sample::average_precision)),
+        recall_at_full_precision: estimate(2, None),
+        detection_at_1_percent: estimate(3, has_threshold.then_some(exact::Sample::recall)),
+        max_f1: estimate(4, Some(exact::Sample::max_f1)),
     })
 }
 
-/// The central interval that contains [`COVERED`] of the values; `None` without values.
+/// The central interval that contains [`COVERED`] of the values. `None` without values, and if all
+/// values are equal: an interval without width would claim certainty.
 fn interval(mut values: Vec<f64>) -> Option<[f64; 2]> {
-    if values.is_empty() {
+    values.sort_by(f64::total_cmp);
+    if values.first() == values.last() {
         return None;
     }
-    values.sort_by(f64::total_cmp);
     let tail = (1.0 - COVERED) / 2.0;
     Some([quantile(&values, tail), quantile(&values, 1.0 - tail)])
 }
@@ -189,7 +214,8 @@ mod tests {
         let [low, high] = interval(values).unwrap();
         assert!((low - 2.5).abs() < 1e-9 && (high - 97.5).abs() < 1e-9);
         assert_eq!(interval(vec![]), None);
-        assert_eq!(interval(vec![3.0]), Some([3.0, 3.0]));
+        assert_eq!(interval(vec![3.0]), None);
+        assert_eq!(interval(vec![3.0; 50]), None);
     }
 
     #[test]
@@ -212,6 +238,7 @@ mod tests {
             grouping: "scan".to_owned(),
             n_rounds: 1,
             folds: groups.clone(),
+            n_training: vec![0; groups.len()],
             groups,
             confidences,
         }

@@ -126,7 +126,7 @@ pub struct Measures {
 }
 
 /// False alarm rate allowed for [`Measures::detection_at_1_percent`].
-const MAX_FALSE_ALARM: f64 = 0.01;
+pub(crate) const MAX_FALSE_ALARM: f64 = 0.01;
 
 /// Computes [`Measures`] while the threshold falls from the highest confidence to the lowest.
 ///

@@ -88,7 +88,7 @@ fn evaluate_grouping(
         .par_iter()
         .map(|&learner| {
             let n_rounds = setup.train.rounds_of(learner);
-            let CrossValidated { fits, confidences } =
+            let CrossValidated { fits, confidences, n_training } =
                 train::cross_validate(learner, n_rounds, &folded)?;
             let scores = Scores {
                 learner: learner.name().to_owned(),
@@ -96,6 +96,7 @@ fn evaluate_grouping(
                 n_rounds: n_rounds as usize,
                 groups: folds.groups.clone(),
                 folds: folds.folds.clone(),
+                n_training,
                 confidences,
             };
             Ok(LearnerResult { learner, fits, scores })
@@ -114,11 +115,17 @@ pub(crate) fn fold_options(setup: &Setup<'_>, grouping: Grouping) -> FoldOptions
         grouping,
         n_folds: setup.options.folds,
         place_m: setup.options.place_m,
+        place_margin_m: setup.options.place_margin_m,
         seed: setup.seed,
     }
 }
 
 /// Pairs with their folds.
 pub(crate) fn folded<'a>(differences: &'a Matrix, folds: &'a Folds) -> Folded<'a> {
-    Folded { data: differences, folds: &folds.folds, keys: &folds.keys }
+    Folded {
+        data: differences,
+        folds: &folds.folds,
+        near_folds: &folds.near_folds,
+        keys: &folds.keys,
+    }
 }

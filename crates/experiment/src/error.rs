@@ -49,6 +49,10 @@ impl NotEvaluated {
                 let (groups, n_found) = ((*groups).to_owned(), *found as u64);
                 NoteKind::TooFewGroups { grouping, groups, n_found }
             }
+            ExperimentError::Label(LabelError::TwoGroups { groups, n_between, .. }) => {
+                let (groups, n_pairs) = ((*groups).to_owned(), *n_between as u64);
+                NoteKind::TwoGroups { grouping, groups, n_pairs }
+            }
             ExperimentError::Label(LabelError::TooFewForFolds { folds, class, found }) => {
                 let (n_folds, n_found) = (u64::from(*folds), *found as u64);
                 let class = (*class).to_owned();

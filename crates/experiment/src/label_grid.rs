@@ -60,6 +60,9 @@ fn errors(
         Err(LabelError::TooFewGroups { groups, found, .. }) => {
             return no_error(format!("{found} {groups}"));
         }
+        Err(LabelError::TwoGroups { groups, .. }) => {
+            return no_error(format!("2 {groups}"));
+        }
         Err(error) => return Err(error.into()),
     };
     let data = differences(&pairs, features);

@@ -6,6 +6,10 @@ use label::Grouping;
 use serde::{Deserialize, Serialize};
 use train::Learner;
 
+/// Largest margin around test ground, in widths of a square. A larger one is a typing error: it
+/// leaves no ground to train on.
+const MAX_MARGIN: f64 = 10.0;
+
 /// The keys of the section `[evaluate]` that `train` uses.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Options {
@@ -17,6 +21,8 @@ pub struct Options {
     pub require_groupings: bool,
     /// Width of the squares of ground of the grouping `place` \[m\].
     pub place_m: f64,
+    /// Margin between training and test ground of the grouping `place` \[m\].
+    pub place_margin_m: f64,
     /// Score all pairs of keyframes of each log.
     pub retrieval: bool,
     /// Of these, leave out pairs with less path between them \[m\].
@@ -34,6 +40,7 @@ impl Default for Options {
             groupings: vec![Grouping::Pair, Grouping::Place],
             require_groupings: false,
             place_m: 20.0,
+            place_margin_m: 3.0,
             retrieval: true,
             min_separation_m: 30.0,
             max_pairs: 20_000_000,
@@ -66,6 +73,10 @@ impl Options {
         }
         if !(self.place_m.is_finite() && 0.0 < self.place_m) {
             return fail("place_m", &self.place_m, "more than 0");
+        }
+        if !(0.0..=MAX_MARGIN * self.place_m).contains(&self.place_margin_m) {
+            let expected = format!("0 to {MAX_MARGIN} times `evaluate.place_m`");
+            return fail("place_margin_m", &self.place_margin_m, &expected);
         }
         if !(self.min_separation_m.is_finite() && 0.0 <= self.min_separation_m) {
             return fail("min_separation_m", &self.min_separation_m, "0 or more");

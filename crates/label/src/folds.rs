@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 
-use dataset::{Keyframe, Label, OutOfRange, Pair};
+use dataset::{Keyframe, Label, OutOfRange, Pair, common_frames};
 use serde::{Deserialize, Serialize};
 
 use crate::LabelError;
@@ -59,6 +59,9 @@ pub struct FoldOptions {
     pub n_folds: u32,
     /// Width of a block of ground \[m\].
     pub place_m: f64,
+    /// Margin around a block of ground \[m\]: a pair with a scan this close to a block is not used
+    /// to train a classifier that is tested there. Up to 10 times `place_m`.
+    pub place_margin_m: f64,
     /// The run's seed.
     pub seed: u64,
 }
@@ -72,6 +75,9 @@ pub struct Folds {
     pub groups: Vec<[u32; 2]>,
     /// Folds of each pair's query and reference, `(n_pairs, 2)`.
     pub folds: Vec<[u32; 2]>,
+    /// Other folds with a block of ground within the margin around the pair's two scans,
+    /// `(n_pairs,)`. Empty lists except for the grouping `place`.
+    pub near_folds: Vec<Vec<u32>>,
     /// Fold of each keyframe, `(n_keyframes,)`; empty for the grouping `pair`.
     pub keyframe_folds: Vec<u32>,
     /// A pseudo-random number for each pair, `(n_pairs,)`. It depends only on the seed and the
@@ -90,35 +96,43 @@ pub fn assign_folds(
     keyframes: &[Keyframe],
     pairs: &[Pair],
 ) -> Result<Folds, LabelError> {
-    let FoldOptions { grouping, n_folds, place_m, seed } = *options;
+    let FoldOptions { grouping, n_folds, place_m, place_margin_m, seed } = *options;
     if n_folds < 2 {
         return Err(OutOfRange::new("evaluate.folds", n_folds, "2 or more").into());
     }
     if !(place_m.is_finite() && 0.0 < place_m) {
         return Err(OutOfRange::new("evaluate.place_m", place_m, "more than 0").into());
     }
+    if !(place_margin_m.is_finite() && 0.0 <= place_margin_m) {
+        return Err(OutOfRange::new("evaluate.place_margin_m", place_margin_m, "0 or more").into());
+    }
     // The draw of the pairs kept those with the smallest keys, so the folds need other keys.
     let seed = seed ^ 0xF01D_5EED;
     let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
     let keys: Vec<u64> =
         pairs.iter().map(|p| pair_key(hashes[p.query], hashes[p.reference])).collect();
+    let blocks = Blocks::new(keyframes, place_m);
     let groups = match grouping {
         Grouping::Pair => {
             let folds = assign_pairs(n_folds, &keys, pairs)?;
             let groups = (0..pairs.len() as u32).map(|k| [k, k]).collect();
-            return Ok(Folds { n_folds, groups, folds, keyframe_folds: Vec::new(), keys });
+            let near_folds = vec![Vec::new(); pairs.len()];
+            return Ok(Folds { n_folds, groups, folds, near_folds, keyframe_folds: Vec::new(), keys });
         }
         Grouping::Scan => Groups { keyframe_groups: (0..keyframes.len() as u32).collect(), hashes },
-        Grouping::Place => Groups::by(
-            keyframes,
-            |k| {
-                let cell = |metres: f64| (metres / place_m).floor() as i64;
-                (&*k.site, cell(k.pose.x_m), cell(k.pose.y_m))
-            },
-            |(site, x, y)| name_hash(seed, &[site.as_bytes(), &x.to_le_bytes(), &y.to_le_bytes()]),
-        ),
+        Grouping::Place => {
+            let names = blocks.of_keyframes.iter().zip(keyframes);
+            Groups::by(
+                names.map(|(&(frame, x, y), k)| (frame, &*k.site, x, y)),
+                |(_, site, x, y)| {
+                    name_hash(seed, &[site.as_bytes(), &x.to_le_bytes(), &y.to_le_bytes()])
+                },
+            )
+        }
         Grouping::Log => {
-            Groups::by(keyframes, |k| &*k.id.log, |log| name_hash(seed, &[log.as_bytes()]))
+            Groups::by(keyframes.iter().map(|k| &*k.id.log), |log| {
+                name_hash(seed, &[log.as_bytes()])
+            })
         }
     };
     let n_groups = groups.hashes.len();
@@ -133,11 +147,36 @@ pub fn assign_folds(
     let group_folds = groups.assign(n_folds);
     let keyframe_folds: Vec<u32> =
         groups.keyframe_groups.iter().map(|&group| group_folds[group as usize]).collect();
-    let ends = |of: &[u32]| pairs.iter().map(|p| [of[p.query], of[p.reference]]).collect();
+    let ends = |of: &[u32]| -> Vec<[u32; 2]> {
+        pairs.iter().map(|p| [of[p.query], of[p.reference]]).collect()
+    };
+    let folds = ends(&keyframe_folds);
+    if n_folds == 2 && groups.hashes.len() == 2 {
+        let n_between = folds.iter().filter(|[a, b]| a != b).count();
+        if 0 < n_between {
+            let (grouping, groups) = (grouping.name(), grouping.groups());
+            return Err(LabelError::TwoGroups { grouping, groups, n_between });
+        }
+    }
+    let near_folds = match grouping {
+        Grouping::Place => {
+            let near = blocks.near_folds(keyframes, &keyframe_folds, place_margin_m);
+            let of_pair = |(pair, own): (&Pair, &[u32; 2])| {
+                let mut of_pair = [&*near[pair.query], &*near[pair.reference]].concat();
+                of_pair.retain(|fold| !own.contains(fold));
+                of_pair.sort_unstable();
+                of_pair.dedup();
+                of_pair
+            };
+            pairs.iter().zip(&folds).map(of_pair).collect()
+        }
+        _ => vec![Vec::new(); pairs.len()],
+    };
     Ok(Folds {
         n_folds,
         groups: ends(&groups.keyframe_groups),
-        folds: ends(&keyframe_folds),
+        folds,
+        near_folds,
         keyframe_folds,
         keys,
     })
@@ -167,6 +206,52 @@ fn assign_pairs(n_folds: u32, keys: &[u64], pairs: &[Pair]) -> Result<Vec<[u32; 
     Ok(folds)
 }
 
+/// Blocks of ground: squares in the frame of a site.
+struct Blocks {
+    width_m: f64,
+    /// Frame, column and row of the block of each keyframe, `(n_keyframes,)`.
+    of_keyframes: Vec<(u32, i64, i64)>,
+}
+
+impl Blocks {
+    fn new(keyframes: &[Keyframe], width_m: f64) -> Self {
+        let cell = |metres: f64| (metres / width_m).floor() as i64;
+        let frames = common_frames(keyframes);
+        let of_keyframes = keyframes
+            .iter()
+            .zip(frames)
+            .map(|(k, frame)| (frame, cell(k.pose.x_m), cell(k.pose.y_m)))
+            .collect();
+        Self { width_m, of_keyframes }
+    }
+
+    /// For each keyframe, the other folds with a block closer than the margin, `(n_keyframes,)`.
+    fn near_folds(&self, keyframes: &[Keyframe], folds: &[u32], margin_m: f64) -> Vec<Vec<u32>> {
+        let fold_of: BTreeMap<(u32, i64, i64), u32> =
+            self.of_keyframes.iter().copied().zip(folds.iter().copied()).collect();
+        let reach = (margin_m / self.width_m).ceil() as i64;
+        // Distance to a column or row of blocks, 0 within it.
+        let gap_m = |metres: f64, cell: i64| {
+            let low_m = cell as f64 * self.width_m;
+            (low_m - metres).max(metres - (low_m + self.width_m)).max(0.0)
+        };
+        let near = |(k, &(frame, column, row)): (&Keyframe, &(u32, i64, i64))| {
+            let mut near = Vec::new();
+            for x in column - reach..=column + reach {
+                let x_gap_m = gap_m(k.pose.x_m, x);
+                for y in row - reach..=row + reach {
+                    let distance_m = libm::hypot(x_gap_m, gap_m(k.pose.y_m, y));
+                    if distance_m < margin_m {
+                        near.extend(fold_of.get(&(frame, x, y)));
+                    }
+                }
+            }
+            near
+        };
+        keyframes.iter().zip(&self.of_keyframes).map(near).collect()
+    }
+}
+
 /// The group of each keyframe.
 struct Groups {
     /// `(n_keyframes,)`
@@ -176,18 +261,17 @@ struct Groups {
 }
 
 impl Groups {
-    /// Groups the keyframes by a name. Groups are numbered in the order of their names.
-    fn by<'a, N: Ord>(
-        keyframes: &'a [Keyframe],
-        name: impl Fn(&'a Keyframe) -> N,
+    /// Groups the keyframes by their names. Groups are numbered in the order of their names.
+    fn by<N: Ord>(
+        names: impl Iterator<Item = N> + Clone,
         hash: impl Fn(&N) -> u64,
     ) -> Self {
-        let mut numbers: BTreeMap<N, u32> = keyframes.iter().map(|k| (name(k), 0)).collect();
+        let mut numbers: BTreeMap<N, u32> = names.clone().map(|name| (name, 0)).collect();
         for (number, entry) in (0..).zip(numbers.values_mut()) {
             *entry = number;
         }
         Self {
-            keyframe_groups: keyframes.iter().map(|k| numbers[&name(k)]).collect(),
+            keyframe_groups: names.map(|name| numbers[&name]).collect(),
             hashes: numbers.keys().map(hash).collect(),
         }
     }

@@ -103,6 +103,18 @@ pub enum LabelError {
         /// Number of groups.
         found: usize,
     },
+    /// There are two groups, and pairs between them.
+    #[error(
+        "grouping `{grouping}` cannot be evaluated with 2 {groups}: {n_between} pairs are between the two and hold out both, which leaves no pairs to train on; add a third, or leave `{grouping}` out of `evaluate.groupings`"
+    )]
+    TwoGroups {
+        /// The grouping.
+        grouping: &'static str,
+        /// The plural, for the message.
+        groups: &'static str,
+        /// Number of pairs between the two groups.
+        n_between: usize,
+    },
     /// A class has fewer pairs than there are folds.
     #[error(
         "{folds} folds need at least {folds} pairs of each class, found {found} {class} pairs; lower `evaluate.folds` or raise `label.pairs_per_class`"

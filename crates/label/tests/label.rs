@@ -344,7 +344,7 @@ fn an_option_out_of_range_is_reported_by_name() {
 }
 
 fn fold_options(grouping: Grouping, n_folds: u32, seed: u64) -> FoldOptions {
-    FoldOptions { grouping, n_folds, place_m: 2.0, seed }
+    FoldOptions { grouping, n_folds, place_m: 2.0, place_margin_m: 0.0, seed }
 }
 
 /// The first `n_positive` positive and the first `n_negative` negative pairs of a draw.

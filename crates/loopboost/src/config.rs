@@ -99,6 +99,10 @@ pub(crate) struct EvaluateSection {
     pub(crate) require_groupings: bool,
     /// Width of the squares of ground of the grouping `place` \[m\].
     pub(crate) place_m: f64,
+    /// Margin around the test ground of the grouping `place` \[m\]. No classifier is trained on a
+    /// scan closer than this to the squares that it is tested on. With `label.positive_radius_m` or
+    /// more, no training scan shows the place of a test scan; the default is twice its default.
+    pub(crate) place_margin_m: f64,
     /// Bootstrap resamples of the groups for the confidence intervals; 0 gives no intervals.
     pub(crate) resamples: u32,
     /// Score all pairs of keyframes of each log too, at the natural prevalence of positives.
@@ -119,6 +123,7 @@ impl Default for EvaluateSection {
             groupings,
             require_groupings,
             place_m,
+            place_margin_m,
             retrieval,
             min_separation_m,
             max_pairs,
@@ -130,6 +135,7 @@ impl Default for EvaluateSection {
             groupings,
             require_groupings,
             place_m,
+            place_margin_m,
             resamples,
             retrieval,
             min_separation_m,
@@ -148,6 +154,7 @@ impl EvaluateSection {
             groupings,
             require_groupings,
             place_m,
+            place_margin_m,
             resamples,
             retrieval,
             min_separation_m,
@@ -159,6 +166,7 @@ impl EvaluateSection {
             groupings,
             require_groupings,
             place_m,
+            place_margin_m,
             retrieval,
             min_separation_m,
             max_pairs,

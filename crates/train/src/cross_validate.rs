@@ -15,6 +15,9 @@ pub struct Folded<'a> {
     pub data: &'a Matrix,
     /// The folds of each pair's query and reference, `(n_pairs, 2)`. They can be the same fold.
     pub folds: &'a [[u32; 2]],
+    /// Other folds that each pair must not be trained for, `(n_pairs,)`: those with ground within
+    /// the margin around the pair's two scans.
+    pub near_folds: &'a [Vec<u32>],
     /// A pseudo-random number for each pair, `(n_pairs,)`. It decides which pairs of the larger class
     /// are left out of a training set.
     pub keys: &'a [u64],
@@ -28,6 +31,8 @@ pub struct CrossValidated {
     /// The confidence of each pair after each round, `(n_pairs, n_rounds)`, by the classifier that
     /// held out the pair's folds. A learner that stopped early keeps its last confidence.
     pub confidences: Vec<f64>,
+    /// Number of pairs that this classifier was trained on, `(n_pairs,)`.
+    pub n_training: Vec<u32>,
 }
 
 /// A classifier fitted with two folds held out.
@@ -35,6 +40,8 @@ pub struct CrossValidated {
 pub struct FoldFit {
     /// The folds held out, ascending; the same fold twice if only one was held out.
     pub held_out: [u32; 2],
+    /// Number of pairs that it was trained on.
+    pub n_training: usize,
     /// The rounds; empty for a baseline.
     pub rounds: Vec<Round>,
     scorer: Scorer,
@@ -53,7 +60,7 @@ enum Scorer {
 pub enum FoldError {
     /// The remaining pairs lack a class.
     #[error(
-        "with {} held out, {n_positive} positive and {n_negative} negative pairs are left to train on, expected both classes; raise `label.pairs_per_class`, lower `evaluate.place_m`, add logs, or remove the grouping from `evaluate.groupings`",
+        "with {} held out, {n_positive} positive and {n_negative} negative pairs are left to train on, expected both classes; raise `label.pairs_per_class`, lower `evaluate.place_m` or `evaluate.place_margin_m`, add logs, or remove the grouping from `evaluate.groupings`",
         folds(.held_out)
     )]
     OneClass {
@@ -78,7 +85,7 @@ fn folds([a, b]: &[u32; 2]) -> String {
     if a == b { format!("fold {a}") } else { format!("folds {a} and {b}") }
 }
 
-/// The rows that touch neither fold, with equal numbers of both classes. Of the larger class, the
+/// The rows that touch neither fold and are not near one, with equal numbers of both classes. Of the larger class, the
 /// rows with the smallest keys are kept. Without this, Gentle AdaBoost would favour the larger class,
 /// since its weights start equal.
 fn training_rows(folded: &Folded<'_>, [a, b]: [u32; 2]) -> Result<Vec<usize>, FoldError> {
@@ -86,8 +93,9 @@ fn training_rows(folded: &Folded<'_>, [a, b]: [u32; 2]) -> Result<Vec<usize>, Fo
     let rows_of = |label: Label| -> Vec<usize> {
         (0..labels.len())
             .filter(|&row| {
-                let touched = folded.folds[row];
-                labels[row] == label && !touched.contains(&a) && !touched.contains(&b)
+                let (touched, near) = (&folded.folds[row], &folded.near_folds[row]);
+                labels[row] == label
+                    && [a, b].iter().all(|fold| !touched.contains(fold) && !near.contains(fold))
             })
             .collect()
     };
@@ -112,19 +120,21 @@ pub fn fit_without(
     folded: &Folded<'_>,
     held_out: [u32; 2],
 ) -> Result<FoldFit, FoldError> {
-    let training = folded.data.select(&training_rows(folded, held_out)?);
+    let rows = training_rows(folded, held_out)?;
+    let n_training = rows.len();
+    let training = folded.data.select(&rows);
     let failed = |source| FoldError::Fit { held_out, source };
     if let Some(boosting) = learner.boosting() {
         let rounds = fit(boosting, n_rounds, &training).map_err(failed)?;
         let scorer = Scorer::Boosted(classifier(boosting, &rounds));
-        return Ok(FoldFit { held_out, rounds, scorer });
+        return Ok(FoldFit { held_out, n_training, rounds, scorer });
     }
     training.check().map_err(failed)?;
     let scorer = match learner {
         Learner::Svm => Scorer::Linear(svm::Linear::fit(&training)),
         _ => Scorer::Neighbours(training),
     };
-    Ok(FoldFit { held_out, rounds: Vec::new(), scorer })
+    Ok(FoldFit { held_out, n_training, rounds: Vec::new(), scorer })
 }
 
 impl FoldFit {
@@ -191,14 +201,16 @@ pub fn cross_validate(
         .into_iter()
         .collect::<Result<Vec<_>, FoldError>>()?;
     let mut confidences = vec![0.0; folded.folds.len() * n];
+    let mut n_training = vec![0; folded.folds.len()];
     let mut fits = Vec::with_capacity(by_folds.len());
     for (fit, rows, staged) in by_folds {
         for (row, staged) in rows.into_iter().zip(staged.chunks(n)) {
             confidences[row * n..][..n].copy_from_slice(staged);
+            n_training[row] = fit.n_training as u32;
         }
         fits.push(fit);
     }
-    Ok(CrossValidated { fits, confidences })
+    Ok(CrossValidated { fits, confidences, n_training })
 }
 
 #[cfg(test)]
@@ -206,6 +218,9 @@ mod tests {
     use super::*;
 
     use dataset::Label::{Negative, Positive};
+
+    /// No margin, for up to ten pairs.
+    const NONE_NEAR: &[Vec<u32>] = &[const { Vec::new() }; 10];
 
     /// Pair 0 is an outlier in its own fold. The classifier that scores it is trained on the other
     /// fold only, where positives are below 5.
@@ -216,9 +231,9 @@ mod tests {
             vec![Positive, Negative, Positive, Negative],
         );
         let folds = [[0, 0], [0, 0], [1, 1], [1, 1]];
-        let folded = Folded { data: &data, folds: &folds, keys: &[0; 4] };
+        let folded = Folded { data: &data, folds: &folds, near_folds: NONE_NEAR, keys: &[0; 4] };
         let result = cross_validate(Learner::Discrete, 2, &folded).unwrap();
-        assert_eq!(result.confidences.len(), 8);
+        assert_eq!((result.confidences.len(), &*result.n_training), (8, &[2; 4][..]));
         // Fold 0 held out: threshold 5.5. 9 and 8 are above it, so both are negative.
         assert!(result.confidences[0] < 0.0 && result.confidences[2] < 0.0);
         // Fold 1 held out: threshold 8.5, positive above. 1 is negative, 10 is positive.
@@ -243,7 +258,7 @@ mod tests {
         );
         let folds =
             [[0, 1], [1, 0], [2, 2], [2, 2], [0, 0], [0, 0], [1, 1], [1, 1], [0, 2], [2, 1]];
-        let folded = Folded { data: &data, folds: &folds, keys: &[0; 10] };
+        let folded = Folded { data: &data, folds: &folds, near_folds: NONE_NEAR, keys: &[0; 10] };
         let fit = fit_without(Learner::Discrete, 1, &folded, [0, 1]).unwrap();
         // The threshold 5 is between 1 (+) and 9 (-). 3 and 4 are below it.
         assert_eq!(fit.rounds[0].weak.splits().next().unwrap().threshold, Some(5.0));
@@ -263,18 +278,24 @@ mod tests {
             vec![Positive, Negative, Negative, Positive, Negative, Positive],
         );
         let folds = [[0, 0], [1, 1], [1, 2], [1, 1], [2, 2], [0, 2]];
-        let folded = Folded { data: &data, folds: &folds, keys: &[1, 9, 3, 8, 5, 2] };
+        let folded = Folded { data: &data, folds: &folds, near_folds: NONE_NEAR, keys: &[1, 9, 3, 8, 5, 2] };
         assert_eq!(training_rows(&folded, [0, 0]), Ok(vec![2, 3]));
         assert_eq!(training_rows(&folded, [0, 2]), Ok(vec![1, 3]));
         // Pair 0 has a smaller key than pair 5.
         assert_eq!(training_rows(&folded, [1, 1]), Ok(vec![0, 4]));
+        // Pair 4 is near fold 1 too: no negative pair is left.
+        let near_folds: Vec<Vec<u32>> = (0..6).map(|k| [1].repeat((k == 4).into())).collect();
+        let folded = Folded { near_folds: &near_folds, ..folded };
+        let error = FoldError::OneClass { held_out: [1, 1], n_positive: 2, n_negative: 0 };
+        assert_eq!(training_rows(&folded, [1, 1]), Err(error));
+        assert_eq!(training_rows(&folded, [0, 0]), Ok(vec![2, 3]));
     }
 
     #[test]
     fn training_on_one_class_is_an_error() {
         let data = Matrix::new(vec![vec![1.0, 2.0, 3.0]], vec![Positive, Negative, Positive]);
         let folds = [[0, 0], [1, 1], [2, 2]];
-        let folded = Folded { data: &data, folds: &folds, keys: &[0; 3] };
+        let folded = Folded { data: &data, folds: &folds, near_folds: NONE_NEAR, keys: &[0; 3] };
         let error = cross_validate(Learner::Discrete, 1, &folded).unwrap_err();
         assert_eq!(error, FoldError::OneClass { held_out: [1, 1], n_positive: 2, n_negative: 0 });
         let text = error.to_string();

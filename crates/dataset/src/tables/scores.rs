@@ -47,6 +47,7 @@ pub fn write_scores(
         ("reference_group", numbers(&mut rows().map(|(s, k, _)| s.groups[k][1]))),
         ("query_fold", numbers(&mut rows().map(|(s, k, _)| s.folds[k][0]))),
         ("reference_fold", numbers(&mut rows().map(|(s, k, _)| s.folds[k][1]))),
+        ("n_training", numbers(&mut rows().map(|(s, k, _)| s.n_training[k]))),
         ("query_log", strings(rows().map(|(_, _, p)| &*id(p.query).log))),
         ("query_scan", numbers(&mut rows().map(|(_, _, p)| id(p.query).scan))),
         ("reference_log", strings(rows().map(|(_, _, p)| &*id(p.reference).log))),
@@ -67,6 +68,7 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
     let folds = ["query_fold", "reference_fold"].map(|name| columns.numbers::<UInt32Type>(name));
     let ([group_a, group_b], [fold_a, fold_b]) = (groups, folds);
     let (group_a, group_b, fold_a, fold_b) = (group_a?, group_b?, fold_a?, fold_b?);
+    let n_training = columns.numbers::<UInt32Type>("n_training")?;
     let labels = columns.numbers::<Int8Type>("label")?;
     let column = columns.column("confidences")?;
     let lists = column
@@ -92,6 +94,7 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
             n_rounds,
             groups: Vec::with_capacity(pairs.len()),
             folds: Vec::with_capacity(pairs.len()),
+            n_training: Vec::with_capacity(pairs.len()),
             confidences: Vec::with_capacity(pairs.len() * n_rounds),
         };
         for (row, pair) in (start..).zip(pairs) {
@@ -106,6 +109,7 @@ pub fn read_scores(path: &Path, pairs: &[Pair]) -> Result<(Vec<Scores>, Provenan
             }
             block.groups.push([group_a.value(row), group_b.value(row)]);
             block.folds.push([fold_a.value(row), fold_b.value(row)]);
+            block.n_training.push(n_training.value(row));
             block.confidences.extend_from_slice(values.as_primitive::<Float64Type>().values());
         }
         scores.push(block);

@@ -1,6 +1,5 @@
 //! All measures under each grouping, with the curves.
 
-use dataset::Label;
 use maud::{Markup, html};
 
 use super::figure;
@@ -117,18 +116,6 @@ pub(super) fn operating_point_headers() -> Markup {
 /// The smallest and the largest number of training pairs of the fits of a grouping.
 fn training_pairs(input: &Input<'_>, grouping: &str) -> [usize; 2] {
     let Some(scores) = input.scores.iter().find(|s| s.grouping == grouping) else { return [0; 2] };
-    let mut held_out: Vec<[u32; 2]> =
-        scores.folds.iter().map(|&[a, b]| [a.min(b), a.max(b)]).collect();
-    held_out.sort_unstable();
-    held_out.dedup();
-    let sizes = held_out.iter().map(|[a, b]| {
-        let count = |label| {
-            let is_held_out = |folds: &[u32; 2]| folds.contains(a) || folds.contains(b);
-            let pairs = input.pairs.iter().zip(&scores.folds);
-            pairs.filter(|(pair, folds)| pair.label == label && !is_held_out(folds)).count()
-        };
-        2 * count(Label::Positive).min(count(Label::Negative))
-    });
-    let sizes: Vec<usize> = sizes.collect();
-    [sizes.iter().min(), sizes.iter().max()].map(|size| size.copied().unwrap_or(0))
+    let sizes = || scores.n_training.iter().map(|&n| n as usize);
+    [sizes().min(), sizes().max()].map(Option::unwrap_or_default)
 }
