@@ -162,6 +162,16 @@ codes! {
             grouping: String,
         } => "grouping `{grouping}` not evaluated: a learner cannot be fitted to the remaining pairs";
 
+        /// Retrieval has few matches because not all scans are queries.
+        Warning "few_matches_scored" FewMatchesScored {
+            /// Matches scored.
+            n_matches: u64,
+            /// One in this many scans is a query.
+            query_stride: u64,
+            /// Pairs of all scans.
+            n_pairs: u64,
+        } => "retrieval has only {n_matches} matches, because one in {query_stride} scans is a query; expected 100 or more for a recall that is known within 10 %: raise `evaluate.max_pairs` (all scans as queries: {n_pairs})";
+
         // Velodyne packets.
 
         /// Packets come from more than one sensor.
@@ -352,5 +362,19 @@ codes! {
             /// The topic with the odometry.
             odom_topic: String,
         } => "the poses of {n_scans} of {n_compared} scans differ from the ODOM lines of the same time by up to {largest_m:.2} m, as in a corrected log: `{topic}` has the poses of the scans, `{odom_topic}` has the ODOM lines";
+    }
+}
+
+impl NoteKind {
+    /// The grouping that was not evaluated, by name; `None` for notes about something else.
+    pub fn grouping(&self) -> Option<&str> {
+        match self {
+            Self::TooFewGroups { grouping, .. }
+            | Self::TwoGroups { grouping, .. }
+            | Self::TooFewPairsForFolds { grouping, .. }
+            | Self::OneClassLeft { grouping, .. }
+            | Self::GroupingNotTrainable { grouping } => Some(grouping),
+            _ => None,
+        }
     }
 }

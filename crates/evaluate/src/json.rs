@@ -29,6 +29,8 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
         "logs": logs,
         "keyframes": input.keyframes.len(),
         "pairs": { "positive": count(Label::Positive), "negative": count(Label::Negative) },
+        "spread": evaluation.spreads,
+        "validated_on_unseen_ground": evaluation.is_validated_on_unseen_ground(),
         "resamples": input.resamples,
         "left_out": input.not_evaluated,
         "summary": evaluation.summaries,

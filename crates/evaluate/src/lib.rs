@@ -31,6 +31,7 @@ mod metrics;
 mod options;
 mod report;
 mod retrieval;
+mod spread;
 mod tables;
 mod text;
 
@@ -49,6 +50,7 @@ pub use metrics::{
 pub use options::Options;
 pub use report::{Fact, report};
 pub use retrieval::{Ranked, rank};
+pub use spread::Spread;
 pub use tables::write_tables;
 
 /// Number of boosting rounds of the precision-recall curves (the paper's Figure 5).
@@ -61,6 +63,10 @@ pub struct Input<'a> {
     pub keyframes: &'a [Keyframe],
     /// The labelled pairs.
     pub pairs: &'a [Pair],
+    /// Width of a place for the spread of the pairs \[m\].
+    pub place_m: f64,
+    /// Height of a place for the spread of the pairs, where keyframes have a height \[m\].
+    pub max_height_difference_m: f64,
     /// The scores of the pairs, `(n_learners * n_groupings,)`.
     pub scores: &'a [Scores],
     /// For each requested grouping that could not be evaluated, the reason.
@@ -141,6 +147,8 @@ pub struct Mistake {
 /// All measures.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Evaluation {
+    /// How the pairs of each class are spread over the ground.
+    pub spreads: Vec<Spread>,
     /// The measures of each learner and grouping after the last round.
     pub summaries: Vec<Summary>,
     /// The errors of each learner and grouping after T = 1, 2, ... rounds.
@@ -156,6 +164,11 @@ impl Evaluation {
     /// The groupings, in the order of the scores.
     pub(crate) fn groupings(&self) -> Vec<&str> {
         text::distinct(self.summaries.iter().map(|s| &*s.grouping))
+    }
+
+    /// Whether pairs were scored by classifiers that were trained on other ground.
+    pub(crate) fn is_validated_on_unseen_ground(&self) -> bool {
+        self.groupings().contains(&"place")
     }
 
     /// The grouping of the headline: `place` if present, otherwise the strictest one.
@@ -187,6 +200,7 @@ impl Evaluation {
 pub fn evaluate(input: &Input<'_>) -> Evaluation {
     let labels: Vec<Label> = input.pairs.iter().map(|pair| pair.label).collect();
     let mut evaluation = Evaluation {
+        spreads: spread::spreads(input),
         summaries: bootstrap::summaries(&labels, input.scores, input.resamples, input.seed),
         ..Evaluation::default()
     };

@@ -61,7 +61,7 @@ pub use fit::{Fitted, boosting_rounds, fit};
 pub use label_grid::label_grid;
 pub use models::{ModelContext, models, scan_spec};
 pub use options::{GridOptions, Options};
-pub use retrieval::retrieval;
+pub use retrieval::{few_matches, retrieval};
 pub use usefulness::feature_usefulness;
 
 /// How the experiment is done.

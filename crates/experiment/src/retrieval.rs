@@ -1,7 +1,7 @@
 //! Retrieval at natural prevalence: all pairs of keyframes of a log are scored by classifiers that
 //! held out the folds of both keyframes.
 
-use dataset::{Keyframe, Label, Retrieval};
+use dataset::{Keyframe, Label, Note, NoteKind, Retrieval};
 use label::{Folds, Grouping, Rules};
 use rayon::prelude::*;
 use train::{FoldError, FoldFit, Learner};
@@ -23,7 +23,7 @@ pub fn retrieval(
     };
     let rules = Rules::new(setup.label, data.keyframes);
     let logs = by_log(data.keyframes);
-    let n_pairs: u64 = logs.iter().map(|log| (log.len() * (log.len() - 1) / 2) as u64).sum();
+    let n_pairs = n_pairs(&logs);
     let stride = n_pairs.div_ceil(setup.options.max_pairs).max(1);
     let mut rows = Vec::new();
     for of_learner in &result.learners {
@@ -45,6 +45,25 @@ pub fn retrieval(
         }
     }
     Ok(rows)
+}
+
+/// Least number of matches for a useful recall. The 95 % interval of a share that is observed on n
+/// independent matches is up to 1/sqrt(n) to each side: 10 % for 100.
+const MIN_MATCHES: u64 = 100;
+
+/// A warning if the limit on the number of pairs leaves too few matches.
+pub fn few_matches(data: &Data<'_>, rows: &[Retrieval]) -> Option<Note> {
+    let over_all = rows.iter().find(|row| row.log.is_none()).or(rows.first())?;
+    let (n_matches, query_stride) = (over_all.n_positive, over_all.query_stride);
+    (1 < query_stride && n_matches < MIN_MATCHES).then(|| {
+        let n_pairs = n_pairs(&by_log(data.keyframes));
+        NoteKind::FewMatchesScored { n_matches, query_stride, n_pairs }.into()
+    })
+}
+
+/// Number of pairs within logs.
+fn n_pairs(logs: &[Vec<usize>]) -> u64 {
+    logs.iter().map(|log| (log.len() * (log.len() - 1) / 2) as u64).sum()
 }
 
 /// The grouping that the report puts first, of those that hold out scans.

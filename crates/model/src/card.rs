@@ -92,6 +92,7 @@ fn write_results(card: &mut String, measured: &[Measured], training: &Training) 
         "| grouping | folds | rounds | error | precision | recall |\n|---|---|---|---|---|---|"
     )?;
     let n_pairs = training.n_positive + training.n_negative;
+    let is_validated_on_unseen_ground = measured.iter().any(|row| row.grouping == "place");
     for row in measured {
         writeln!(
             card,
@@ -102,6 +103,13 @@ fn write_results(card: &mut String, measured: &[Measured], training: &Training) 
             with_interval(row.error, n_pairs as f64),
             precision(row, training),
             with_interval(row.recall, training.n_positive as f64)
+        )?;
+    }
+    if !is_validated_on_unseen_ground {
+        writeln!(
+            card,
+            "\n**Not validated on unseen ground**: there is no result for the grouping `place`. \
+             The errors are expected to be larger at other places."
         )?;
     }
     Ok(())

@@ -18,7 +18,10 @@ pub(super) fn section(input: &Input<'_>, evaluation: &Evaluation, figures: &[Fig
                 "on equal numbers of both classes. The error counts a pair as a match if its confidence is 0 or more. "
                 "The other measures consider all thresholds."
                 @if input.resamples > 0 {
-                    " Below each value is its 95\u{a0}% interval over " (input.resamples) " bootstrap resamples."
+                    " Below each value is its 95\u{a0}% interval over " (input.resamples) " bootstrap resamples of the groups. "
+                    "If no pair is wrong, the interval is that of Clopper and Pearson for the number of groups. "
+                    "The recall at 100\u{a0}% precision has no interval: it depends on a single pair, the non-match with the highest confidence, "
+                    "which a bootstrap cannot estimate."
                 }
             }
             @for grouping in evaluation.groupings() {

@@ -1,6 +1,6 @@
 //! The first screen: the best result, and the errors of all learners.
 
-use dataset::Label;
+use dataset::{Label, Note};
 use maud::{Markup, html};
 
 use super::messages;
@@ -15,6 +15,7 @@ pub(super) fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
     let logs = distinct(input.keyframes.iter().map(|k| &*k.id.log));
     html! {
         (messages::warnings(input.losses, input.not_evaluated.iter().chain(input.notes)))
+        @if !evaluation.is_validated_on_unseen_ground() { (not_validated(input)) }
         @if let Some(best) = evaluation.best_boosted(input) {
             (best_result(best, evaluation.best_baseline(input)))
         }
@@ -27,6 +28,21 @@ pub(super) fn headline(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
         }
         (errors(input, evaluation))
         p class="note" { "The paper is " i { "Learning Loop Closures by Boosting" } ". This report shows the same figures and tables." }
+    }
+}
+
+/// Without the grouping `place`, training and test pairs may show the same ground.
+fn not_validated(input: &Input<'_>) -> Markup {
+    let concerns_place = |note: &&Note| note.kind.grouping() == Some("place");
+    html! {
+        p class="headline" {
+            b { "Not validated on unseen ground" } ": "
+            @match input.not_evaluated.iter().find(concerns_place) {
+                Some(note) => { (messages::with_code(&note.to_string())) "." }
+                None => { code { "evaluate.groupings" } " does not contain " code { "place" } "." }
+            }
+            " The errors below are expected to be larger at other places."
+        }
     }
 }
 

@@ -5,8 +5,11 @@ use std::cmp::Reverse;
 use dataset::{Losses, Note, Severity};
 use maud::{Markup, html};
 
-/// Warnings listed at the top; the others are folded.
+/// Codes of warnings listed at the top; the others are folded.
 const WARNINGS_SHOWN: usize = 10;
+
+/// Messages of one code listed in full; the others are folded.
+const SENTENCES_SHOWN: usize = 2;
 
 /// A loss or a note, as shown in the report.
 struct Message {
@@ -15,15 +18,24 @@ struct Message {
     sentence: String,
 }
 
-/// The warnings at the top of the report, one line each.
+/// The messages of one code.
+struct Group {
+    severity: Severity,
+    code: &'static str,
+    sentences: Vec<String>,
+}
+
+/// The warnings at the top of the report, by code.
 pub(super) fn warnings<'a>(losses: &Losses, notes: impl Iterator<Item = &'a Note>) -> Markup {
     let mut warnings = loss_messages(losses);
     warnings.extend(note_messages(notes));
     warnings.retain(|message| Severity::Warning <= message.severity);
-    warnings.sort_by_key(|message| Reverse(message.severity));
-    let (shown, folded) = warnings.split_at(WARNINGS_SHOWN.min(warnings.len()));
+    let n_warnings = warnings.len();
+    let groups = by_code(warnings);
+    let (shown, folded) = groups.split_at(WARNINGS_SHOWN.min(groups.len()));
+    let n_folded: usize = folded.iter().map(|group| group.sentences.len()).sum();
     html! {
-        @match warnings.len() {
+        @match n_warnings {
             0 => { p class="note" { "No warnings." } }
             n => {
                 div class="warnings" {
@@ -32,16 +44,30 @@ pub(super) fn warnings<'a>(losses: &Losses, notes: impl Iterator<Item = &'a Note
                         " The list of codes in " code { "docs/messages.md" } " gives cause and remedy."
                     }
                     (list(shown))
-                    @if !folded.is_empty() { details { summary { (folded.len()) " more" } (list(folded)) } }
+                    @if !folded.is_empty() { details { summary { (n_folded) " more" } (list(folded)) } }
                 }
             }
         }
     }
 }
 
-fn list(messages: &[Message]) -> Markup {
+fn list(groups: &[Group]) -> Markup {
     html! {
-        ul { @for message in messages { li { (with_code(&message.sentence)) " " code class="code" { (message.code) } } } }
+        ul { @for group in groups { li { (sentences(group)) " " code class="code" { (group.code) } } } }
+    }
+}
+
+/// The first sentences of a code, one below the other, and the others folded.
+fn sentences(group: &Group) -> Markup {
+    let (shown, folded) = group.sentences.split_at(SENTENCES_SHOWN.min(group.sentences.len()));
+    html! {
+        @for (k, sentence) in shown.iter().enumerate() { @if k > 0 { br; } (with_code(sentence)) }
+        @if !folded.is_empty() {
+            details {
+                summary { (folded.len()) " more like this" }
+                @for (k, sentence) in folded.iter().enumerate() { @if k > 0 { br; } (with_code(sentence)) }
+            }
+        }
     }
 }
 
@@ -55,9 +81,8 @@ pub(super) fn tables<'a>(losses: &Losses, notes: impl Iterator<Item = &'a Note>)
     }
 }
 
-/// The messages, the most severe first.
-fn table(mut messages: Vec<Message>, if_empty: &str) -> Markup {
-    messages.sort_by_key(|message| Reverse(message.severity));
+/// One row for each code, the most severe first.
+fn table(messages: Vec<Message>, if_empty: &str) -> Markup {
     if messages.is_empty() {
         return html! { p { (if_empty) } };
     }
@@ -65,14 +90,27 @@ fn table(mut messages: Vec<Message>, if_empty: &str) -> Markup {
         div class="scroll" {
             table class="facts" {
                 thead { tr { th { "code" } th class="text" { "severity" } th class="text" { "message" } } }
-                tbody { @for message in messages { tr {
-                    th { code { (message.code) } }
-                    td class="text" { (message.severity) }
-                    td class="text" { (with_code(&message.sentence)) }
+                tbody { @for group in by_code(messages) { tr {
+                    th { code { (group.code) } }
+                    td class="text" { (group.severity) }
+                    td class="text" { (sentences(&group)) }
                 } } }
             }
         }
     }
+}
+
+/// Messages by code, the most severe first; codes of equal severity in order of appearance.
+fn by_code(messages: Vec<Message>) -> Vec<Group> {
+    let mut groups: Vec<Group> = Vec::new();
+    for Message { severity, code, sentence } in messages {
+        match groups.iter_mut().find(|group| group.code == code) {
+            Some(group) => group.sentences.push(sentence),
+            None => groups.push(Group { severity, code, sentences: vec![sentence] }),
+        }
+    }
+    groups.sort_by_key(|group| Reverse(group.severity));
+    groups
 }
 
 /// One message for each loss; the same loss in several logs gives one message.
@@ -95,7 +133,7 @@ fn note_messages<'a>(notes: impl Iterator<Item = &'a Note>) -> Vec<Message> {
 }
 
 /// A sentence with the parts between backticks as code.
-fn with_code(sentence: &str) -> Markup {
+pub(super) fn with_code(sentence: &str) -> Markup {
     html! {
         @for (k, part) in sentence.split('`').enumerate() {
             @if k % 2 == 1 { code { (part) } } @else { (part) }
@@ -142,12 +180,42 @@ mod tests {
         assert!(html.contains("7 duplicate packets in 2 logs"), "{html}");
     }
 
+    /// A code is one row or one item, with two of its sentences; the others are folded.
     #[test]
-    fn more_than_ten_warnings_are_folded() {
+    fn messages_of_one_code_are_one_row() {
         let notes: Vec<Note> = (0..12)
             .map(|k| Note::new(NoteKind::SeveralSensors, Subject::topic(format!("/{k}"))))
             .collect();
         let html = warnings(&Losses::default(), notes.iter()).into_string();
+        assert!(html.contains("This run has 12 warnings"), "{html}");
+        let table = tables(&Losses::default(), notes.iter()).into_string();
+        for html in [html, table] {
+            assert_eq!(html.matches(">several_sensors</code>").count(), 1, "{html}");
+            assert!(html.contains("<summary>10 more like this</summary>"), "{html}");
+            assert!(html.contains("<code>/11</code>"), "{html}");
+        }
+    }
+
+    #[test]
+    fn more_than_ten_codes_of_warnings_are_folded() {
+        let mut losses = Losses::default();
+        for kind in [
+            LossKind::TruncatedFile,
+            LossKind::DamagedSummary,
+            LossKind::ContradictoryIndex,
+            LossKind::BytesBetweenChunks,
+            LossKind::UnknownRecords,
+            LossKind::MalformedRecords,
+            LossKind::MisplacedRecords,
+            LossKind::MalformedChunks,
+            LossKind::ChunkLengthMismatch,
+            LossKind::ChunkCrcMismatch,
+            LossKind::TruncatedChunks,
+            LossKind::UndefinedChannel,
+        ] {
+            losses.add(kind, 1);
+        }
+        let html = warnings(&losses, [].iter()).into_string();
         assert!(html.contains("This run has 12 warnings"), "{html}");
         assert!(html.contains("<summary>2 more</summary>"), "{html}");
     }

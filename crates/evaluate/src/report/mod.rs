@@ -8,6 +8,7 @@ mod label_grid;
 mod messages;
 mod retrieval;
 mod scans;
+mod spread;
 
 use dataset::tables::Provenance;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -30,7 +31,7 @@ pub fn report(
     input: &Input<'_>,
     evaluation: &Evaluation,
     (sketches, figures): (&Sketches, &[Figure]),
-    facts: &[Fact],
+    (digests, options): (&[Fact], &[Fact]),
     provenance: &Provenance,
 ) -> String {
     let page = html! {
@@ -52,13 +53,14 @@ pub fn report(
                     (headline::headline(input, evaluation))
                 }
                 main {
+                    (spread::section(input, evaluation))
                     (cross_validation::section(input, evaluation, figures))
                     (retrieval::section(input, figures))
                     (label_grid::section(input, figures))
                     (features::section(input, evaluation, figures))
                     (scans::pairs_section(input, sketches, figures))
                     (scans::maps_section(input, figures))
-                    (data::section(input, facts))
+                    (data::section(input, digests, options))
                 }
                 footer {}
             }

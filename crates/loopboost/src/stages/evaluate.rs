@@ -44,12 +44,13 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let (feature_usefulness, _) = read_feature_usefulness(&usefulness)?;
     let Findings { losses, mut notes } = run.findings_before(Stage::Evaluate)?;
     notes.retain(|note| !not_evaluated.contains(note));
-    let mut facts = digests_of_logs(run)?;
-    facts.extend(options(&run.config)?);
+    let (digests, options) = (digests_of_logs(run)?, options(&run.config)?);
 
     let input = Input {
         keyframes: &keyframes,
         pairs: &pairs,
+        place_m: run.config.label.place_m,
+        max_height_difference_m: run.config.label.max_height_difference_m,
         features: &features,
         feature_usefulness: &feature_usefulness,
         scores: &scores,
@@ -66,7 +67,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
     let mut sketches = Sketches::new(&input, &evaluation);
     each_scan(run, &keyframes, |k, scan| sketches.add(&input, k, scan))?;
 
-    let outputs = write(run, provenance, &input, &evaluation, &sketches, &facts)?;
+    let outputs = write(run, provenance, &input, &evaluation, &sketches, (&digests, &options))?;
     let mut summaries = summaries(&input, &evaluation);
     summaries.push(Summary::Written { file: Artifact::Report.pattern().to_owned() });
     Ok(Done { outputs, summaries, ..Done::default() })
@@ -110,7 +111,7 @@ fn write(
     input: &Input<'_>,
     evaluation: &Evaluation,
     sketches: &Sketches,
-    facts: &[Fact],
+    facts: (&[Fact], &[Fact]),
 ) -> Result<Vec<PathBuf>> {
     let name = &run.config.name;
     let folder = run.path("evaluation");

@@ -50,7 +50,7 @@ fn train(run: &Run, provenance: &Provenance) -> Result<Done> {
     let context = model_context(run, &keyframes, &pairs, provenance)?;
     let models = experiment::models(&context, &fitted, &validation, differences.labels());
 
-    let notes: Vec<Note> = validation.not_evaluated.iter().map(NotEvaluated::note).collect();
+    let mut notes: Vec<Note> = validation.not_evaluated.iter().map(NotEvaluated::note).collect();
     let of_scores = Provenance { notes: notes.clone(), ..provenance.clone() };
     let scores = validation.scores();
     write_scores(&run.path_of(Artifact::Scores), &of_scores, &keyframes, &pairs, &scores)?;
@@ -59,6 +59,7 @@ fn train(run: &Run, provenance: &Provenance) -> Result<Done> {
     write_grid(&run.path_of(Artifact::Grid), provenance, &grid)?;
     write_feature_usefulness(&run.path_of(Artifact::FeatureUsefulness), provenance, &usefulness)?;
 
+    notes.extend(experiment::few_matches(&data, &retrieval));
     let outputs = Stage::Train.spec().outputs.iter().map(|&artifact| run.path_of(artifact));
     let mut done = Done { outputs: outputs.collect(), notes, ..Done::default() };
     for model in &models {
