@@ -268,6 +268,43 @@ mod tests {
         }
     }
 
+    /// 40 pairs in 20 groups of two, all correct: no resample has an error. 1 - 0.025^(1/20) = 0.1684.
+    /// 1 % of 20 negatives is less than one, so the detection rate has no interval.
+    #[test]
+    fn without_errors_the_intervals_have_a_width() {
+        let labels: Vec<Label> =
+            (0..40).map(|k| if k % 2 == 0 { Positive } else { Negative }).collect();
+        let correct: Vec<f64> = labels.iter().map(|label| label.target()).collect();
+        let scores = scores((0..40).map(|k| [k / 2; 2]).collect(), correct);
+        let found = &summaries(&labels, &[scores.clone()], 200, 3)[0];
+        let [low, high] = found.error.interval.unwrap();
+        assert!(low == 0.0 && (high - 0.1684).abs() < 1e-4, "{high}");
+        for estimate in [found.average_precision, found.max_f1] {
+            let [low, high] = estimate.interval.unwrap();
+            assert!(estimate.value == 1.0 && high == 1.0 && 0.2 < low && low < 0.9, "{low}");
+        }
+        assert_eq!(found.recall_at_full_precision, Estimate { value: 1.0, interval: None });
+        assert_eq!(found.detection_at_1_percent, Estimate { value: 1.0, interval: None });
+        // Without resamples there are no intervals.
+        assert_eq!(summaries(&labels, &[scores], 0, 3)[0].error.interval, None);
+    }
+
+    /// 500 negatives: 1 % are five. With errors, only the extreme value has no interval.
+    #[test]
+    fn an_extreme_value_has_no_bootstrap_interval() {
+        let labels: Vec<Label> =
+            (0..1000).map(|k| if k % 2 == 0 { Positive } else { Negative }).collect();
+        let mut random = SplitMix64::new(4);
+        let confidences = labels.iter().map(|label| label.target() + 4.0 * random.unit() - 2.0);
+        let scores = scores((0..1000).map(|k| [k; 2]).collect(), confidences.collect());
+        let found = &summaries(&labels, &[scores], 100, 3)[0];
+        assert_eq!(found.recall_at_full_precision.interval, None);
+        for (name, estimate) in found.measures() {
+            let has_width = estimate.interval.is_some_and(|[low, high]| low < high);
+            assert_eq!(has_width, name != "recall_at_full_precision", "{name}");
+        }
+    }
+
     #[test]
     fn fewer_than_five_groups_give_no_interval() {
         let groups = vec![[0, 1], [2, 3], [0, 3]];

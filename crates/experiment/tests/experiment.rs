@@ -7,7 +7,7 @@ use dataset::{Keyframe, Label, Pair, Pose2, RangeLimits, ScanId, SplitMix64};
 use experiment::{
     CrossValidation, Data, ExperimentError, GridOptions, ModelContext, Options, Setup,
 };
-use label::Grouping;
+use label::{Grouping, LabelError};
 use model::{FeatureSpec, Training};
 use train::{Learner, Matrix};
 
@@ -41,6 +41,7 @@ impl Road {
             folds: 4,
             groupings: vec![Grouping::Pair, Grouping::Place],
             place_m: 5.0,
+            place_margin_m: 0.0,
             min_separation_m: 0.0,
             ..Options::default()
         };
@@ -130,14 +131,15 @@ fn a_grouping_without_training_pairs_is_left_out_or_an_error() {
     road.options.groupings = vec![Grouping::Pair, Grouping::Log];
     let validation = road.cross_validate().unwrap();
     assert_eq!(validation.groupings.len(), 1);
-    let reason = "cannot evaluate grouping `log`: with folds 0 and 1 held out, 0 positive and 0 negative pairs";
+    let reason = "grouping `log` cannot be evaluated with 2 logs: ";
     let not_evaluated = &validation.not_evaluated[0];
     assert_eq!(not_evaluated.grouping, Grouping::Log);
     assert!(not_evaluated.to_string().starts_with(reason), "{not_evaluated}");
 
     road.options.require_groupings = true;
     let error = road.cross_validate().unwrap_err();
-    assert!(matches!(error, ExperimentError::Fold { grouping: Grouping::Log, .. }), "{error}");
+    let is_expected = matches!(error, ExperimentError::Label(LabelError::TwoGroups { .. }));
+    assert!(is_expected, "{error}");
 
     road.options.require_groupings = false;
     road.options.groupings = vec![Grouping::Log];
@@ -261,4 +263,41 @@ fn baselines_have_no_model() {
     let measured: Vec<_> = model.measured.iter().map(|m| (&*m.grouping, m.rounds)).collect();
     assert_eq!(measured, [("pair", 5), ("place", 5)]);
     assert_eq!(model.classifier.rounds.len(), fitted[0].rounds.len());
+}
+
+/// With a margin, no classifier is trained on scans next to the squares that it is tested on. Every
+/// square of this road is 5 m wide, so a margin of 1 m leaves out scans at each end of the training
+/// squares.
+#[test]
+fn a_margin_around_test_ground_leaves_out_training_pairs() {
+    let mut road = Road::new();
+    road.options.groupings = vec![Grouping::Place];
+    let n_training = |road: &Road| -> Vec<u32> {
+        road.cross_validate().unwrap().groupings[0].learners[0].scores.n_training.clone()
+    };
+    let without = n_training(&road);
+    road.options.place_margin_m = 1.0;
+    let with = n_training(&road);
+    assert!(with.iter().zip(&without).all(|(with, without)| with <= without));
+    let mean = |n: &[u32]| f64::from(n.iter().sum::<u32>()) / n.len() as f64;
+    assert!(mean(&with) < 0.8 * mean(&without), "{} of {}", mean(&with), mean(&without));
+}
+
+/// The limit on the number of pairs leaves out queries.
+#[test]
+fn few_matches_because_of_a_limit_on_pairs_are_reported() {
+    let mut road = Road::new();
+    let retrieval = |road: &Road| {
+        let validation = road.cross_validate().unwrap();
+        experiment::retrieval(&road.setup(), &road.data(), &validation).unwrap()
+    };
+    let rows = retrieval(&road);
+    assert_eq!(experiment::few_matches(&road.data(), &rows), None, "all scans are queries");
+    road.options.max_pairs = 100;
+    let rows = retrieval(&road);
+    let over_all = rows.iter().find(|row| row.log.is_none()).unwrap();
+    let note = experiment::few_matches(&road.data(), &rows).unwrap();
+    assert_eq!(note.severity(), dataset::Severity::Warning);
+    let start = format!("retrieval has only {} matches, because one in ", over_all.n_positive);
+    assert!(note.to_string().starts_with(&start), "{note}");
 }
