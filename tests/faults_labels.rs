@@ -104,9 +104,12 @@ fn drive(path: &[[f64; 3]]) -> Vec<Message> {
         let stamp_ns = START_NS + k as i64 * 300_000_000;
         let [next_x_m, next_y_m, _] = path[(k + 1).min(path.len() - 1)];
         let half_rad = (next_y_m - y_m).atan2(next_x_m - x_m) / 2.0;
-        let pose = RosMessage::with_header(encoding, stamp_ns)
-            .f64s(&[x_m, y_m, z_m])
-            .f64s(&[0.0, 0.0, half_rad.sin(), half_rad.cos()]);
+        let pose = RosMessage::with_header(encoding, stamp_ns).f64s(&[x_m, y_m, z_m]).f64s(&[
+            0.0,
+            0.0,
+            half_rad.sin(),
+            half_rad.cos(),
+        ]);
         let increment = (PI / 30.0) as f32;
         let range = |beam: i32| {
             let wave = f64::from(beam % 7) * x_m / 9.0 + f64::from(beam % 5) * y_m / 7.0;
@@ -122,7 +125,8 @@ fn drive(path: &[[f64; 3]]) -> Vec<Message> {
             .f32(60.0)
             .f32_sequence(&(0..60).map(range).collect::<Vec<f32>>())
             .f32_sequence(&[]);
-        let message = |topic, type_name, data| Message { topic, type_name, encoding, stamp_ns, data };
+        let message =
+            |topic, type_name, data| Message { topic, type_name, encoding, stamp_ns, data };
         messages.push(message("/pose", "geometry_msgs/PoseStamped", pose.finish()));
         messages.push(message("/scan", "sensor_msgs/LaserScan", scan.finish()));
     }

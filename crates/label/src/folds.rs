@@ -117,7 +117,14 @@ pub fn assign_folds(
             let folds = assign_pairs(n_folds, &keys, pairs)?;
             let groups = (0..pairs.len() as u32).map(|k| [k, k]).collect();
             let near_folds = vec![Vec::new(); pairs.len()];
-            return Ok(Folds { n_folds, groups, folds, near_folds, keyframe_folds: Vec::new(), keys });
+            return Ok(Folds {
+                n_folds,
+                groups,
+                folds,
+                near_folds,
+                keyframe_folds: Vec::new(),
+                keys,
+            });
         }
         Grouping::Scan => Groups { keyframe_groups: (0..keyframes.len() as u32).collect(), hashes },
         Grouping::Place => {
@@ -129,11 +136,9 @@ pub fn assign_folds(
                 },
             )
         }
-        Grouping::Log => {
-            Groups::by(keyframes.iter().map(|k| &*k.id.log), |log| {
-                name_hash(seed, &[log.as_bytes()])
-            })
-        }
+        Grouping::Log => Groups::by(keyframes.iter().map(|k| &*k.id.log), |log| {
+            name_hash(seed, &[log.as_bytes()])
+        }),
     };
     let n_groups = groups.hashes.len();
     if n_groups < 2 {
@@ -262,10 +267,7 @@ struct Groups {
 
 impl Groups {
     /// Groups the keyframes by their names. Groups are numbered in the order of their names.
-    fn by<N: Ord>(
-        names: impl Iterator<Item = N> + Clone,
-        hash: impl Fn(&N) -> u64,
-    ) -> Self {
+    fn by<N: Ord>(names: impl Iterator<Item = N> + Clone, hash: impl Fn(&N) -> u64) -> Self {
         let mut numbers: BTreeMap<N, u32> = names.clone().map(|name| (name, 0)).collect();
         for (number, entry) in (0..).zip(numbers.values_mut()) {
             *entry = number;

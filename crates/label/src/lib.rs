@@ -133,11 +133,7 @@ pub enum LabelError {
 /// each place. Also counts the candidates.
 ///
 /// Fails when an option is out of range or a class has too few candidates.
-pub fn label(
-    options: &Options,
-    seed: u64,
-    keyframes: &[Keyframe],
-) -> Result<Labelled, LabelError> {
+pub fn label(options: &Options, seed: u64, keyframes: &[Keyframe]) -> Result<Labelled, LabelError> {
     options.check()?;
     let rules = Rules::new(options, keyframes);
     let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();

@@ -6,7 +6,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
 use dataset::{Keyframe, Label, Pair, Pose2, ScanId};
-use label::{Candidates, FoldOptions, Grouping, LabelError, Labelled, Options, assign_folds, label};
+use label::{
+    Candidates, FoldOptions, Grouping, LabelError, Labelled, Options, assign_folds, label,
+};
 
 /// A full-circle scan at (x, y), heading along x. The log is its own site. The path is 100 m per
 /// scan.
@@ -112,7 +114,10 @@ fn the_positive_radius_is_inclusive_and_the_negative_limit_is_exclusive() {
     for (xs_m, missing) in [([0.0, beyond, 60.0], "positive"), ([0.0, 1.0, 50.0], "negative")] {
         let few = label(&options(1.5, 50.0, 1), 7, &line(&xs_m));
         let Err(LabelError::TooFew { n_positive, n_negative, .. }) = few else { panic!("{few:?}") };
-        assert_eq!((n_positive == 0, n_negative == 0), (missing == "positive", missing == "negative"));
+        assert_eq!(
+            (n_positive == 0, n_negative == 0),
+            (missing == "positive", missing == "negative")
+        );
     }
 }
 
@@ -246,7 +251,10 @@ fn the_error_for_too_few_pairs_states_the_counts_and_the_remedy() {
         ],
     );
     let none = label(&Options::default(), 7, &[]);
-    assert!(matches!(none, Err(LabelError::TooFew { n_positive: 0, n_negative: 0, n_keyframes: 0, .. })));
+    assert!(matches!(
+        none,
+        Err(LabelError::TooFew { n_positive: 0, n_negative: 0, n_keyframes: 0, .. })
+    ));
 }
 
 #[test]

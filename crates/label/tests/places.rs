@@ -107,11 +107,8 @@ fn heights_that_drift_are_told_apart_from_floors() {
 
 #[test]
 fn frames_of_a_log_are_compared_with_themselves_only() {
-    let in_frame = |log, scan, x_m, frame| Keyframe {
-        site: "s".into(),
-        frame,
-        ..at(log, scan, x_m, 0.0)
-    };
+    let in_frame =
+        |log, scan, x_m, frame| Keyframe { site: "s".into(), frame, ..at(log, scan, x_m, 0.0) };
     // Log `a` has two frames, and pairs at 0 m and 60 m in each. Log `b` has one.
     let keyframes = [
         in_frame("a", 0, 0.0, 0),
@@ -211,7 +208,8 @@ fn a_copy_of_a_log_with_other_bytes_is_reported() {
     let found = label(&options(1.5, 5.0, 50), 7, &keyframes).unwrap();
     let texts: Vec<String> = found.notes.iter().map(ToString::to_string).collect();
     assert_eq!(texts.len(), 1, "{texts:?}");
-    let start = "12 keyframes have the same stamps and poses as in log `b` (92 % of the shorter log)";
+    let start =
+        "12 keyframes have the same stamps and poses as in log `b` (92 % of the shorter log)";
     assert!(texts[0].starts_with(start) && texts[0].ends_with("(log `d`)"), "{}", texts[0]);
 }
 

@@ -278,7 +278,8 @@ mod tests {
             vec![Positive, Negative, Negative, Positive, Negative, Positive],
         );
         let folds = [[0, 0], [1, 1], [1, 2], [1, 1], [2, 2], [0, 2]];
-        let folded = Folded { data: &data, folds: &folds, near_folds: NONE_NEAR, keys: &[1, 9, 3, 8, 5, 2] };
+        let folded =
+            Folded { data: &data, folds: &folds, near_folds: NONE_NEAR, keys: &[1, 9, 3, 8, 5, 2] };
         assert_eq!(training_rows(&folded, [0, 0]), Ok(vec![2, 3]));
         assert_eq!(training_rows(&folded, [0, 2]), Ok(vec![1, 3]));
         // Pair 0 has a smaller key than pair 5.
