@@ -101,6 +101,9 @@ codes! {
         } => "message{s} of another type ({found})";
         /// A value is NaN or infinite.
         Warning "non_finite_messages" NonFiniteMessages => "message{s} with NaN or infinite values";
+        /// A message has the stamp 0.
+        Warning "unstamped_messages" UnstampedMessages
+            => "message{s} with the stamp 0 (set `ingest.lidar.stamp` or `ingest.pose.stamp` to \"log\" to use log times)";
         /// A quaternion is not of length 1.
         Warning "quaternion_not_normalized" QuaternionNotNormalized
             => "message{s} with a quaternion that is not of length 1";
@@ -160,6 +163,13 @@ codes! {
 
         // Scans, poses, transforms.
 
+        /// The angles of a planar scan contradict each other.
+        Warning "contradictory_angles" ContradictoryAngles {
+            /// The first contradiction.
+            example: String,
+        } => "planar scan{s} with contradictory angles ({example})";
+        /// A scan appears twice.
+        Warning "duplicate_scans" DuplicateScans => "duplicate scan{s}";
         /// A cloud has more than one revolution.
         Warning "returns_beyond_revolution" ReturnsBeyondRevolution
             => "return{s} after the first revolution of the cloud";

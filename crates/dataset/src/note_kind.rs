@@ -31,6 +31,65 @@ codes! {
             error: String,
         } => "`{stage}` refuses the suggested pipeline: {error}";
 
+        /// Messages of other frames were not used.
+        Info "other_frames" OtherFrames {
+            /// The frames, with their numbers of messages.
+            frames: String,
+        } => "messages of other frames were not used: {frames}";
+        /// The stamps step back.
+        Warning "stamps_step_back" StampsStepBack {
+            /// Steps.
+            n_steps: u64,
+            /// The largest \[s\].
+            largest_s: f64,
+            /// Log time of the first step \[ns\].
+            log_ns: u64,
+            /// Whether the log times step back, too.
+            with_log: bool,
+            /// The option that selects log times.
+            option: String,
+        } => "the stamps step back by up to {largest_s:.2} s, {}, first at the log time {log_ns} ns, so that two moments have one stamp; {}",
+            match n_steps { 1 => "once".to_owned(), n => format!("{n} times") },
+            match with_log {
+                true => "the log times step back, too: split the log there".to_owned(),
+                false => format!("the log times do not: set `{option} = \"log\"` to use them, or split the log there"),
+            };
+        /// The stamps step against the log times.
+        Warning "stamps_step_against_log" StampsStepAgainstLog {
+            /// Steps.
+            n_steps: u64,
+            /// The largest \[s\].
+            largest_s: f64,
+            /// Log time of the first step \[ns\].
+            log_ns: u64,
+            /// The option that selects log times.
+            option: String,
+        } => "the stamps step by up to {largest_s:+.2} s against the log times, {}, first at the log time {log_ns} ns; a clock was set there: set `{option} = \"log\"` to use log times, or split the log there",
+            match n_steps { 1 => "once".to_owned(), n => format!("{n} times") };
+        /// Two topics are stamped by different clocks.
+        Warning "stamp_offsets_differ" StampOffsetsDiffer {
+            /// The other topic.
+            other: String,
+            /// Log time minus stamp \[s\].
+            delay_s: f64,
+            /// Log time minus stamp of the other topic \[s\].
+            other_delay_s: f64,
+        } => "the log times are {delay_s:+.3} s from the stamps, but {other_delay_s:+.3} s on topic `{other}`: the two topics are stamped by clocks that differ by about {:.3} s, and scans are placed at poses of another time; synchronise the clocks, or set `ingest.lidar.stamp` and `ingest.pose.stamp` to \"log\"", (delay_s - other_delay_s).abs();
+        /// Successive messages have equal stamps.
+        Warning "equal_stamps" EqualStamps {
+            /// Messages with the stamp of the message before.
+            n_equal: u64,
+            /// All messages.
+            n_messages: u64,
+            /// The option that selects log times.
+            option: String,
+        } => "{n_equal} of {n_messages} messages have the stamp of the message before: the clock that stamps them is too coarse, or stands still; set `{option} = \"log\"` to use log times";
+        /// Messages are not in order of their stamps.
+        Info "messages_out_of_order" MessagesOutOfOrder {
+            /// Messages.
+            n_messages: u64,
+        } => "{n_messages} messages are stamped earlier than a message before them";
+
         // Labels.
 
         /// One place would have more than its share of the pairs of a class.
@@ -238,6 +297,43 @@ codes! {
             /// Clouds.
             n_clouds: u64,
         } => "{n_clouds} clouds have point times more than 1 s from their stamp; the stamp was used";
+        /// The point times of a cloud have an unusual unit or reference.
+        Info "point_time_unit" PointTimeUnit {
+            /// The field.
+            field: String,
+            /// The unit.
+            unit: String,
+            /// What the times count from.
+            from: String,
+        } => "the point times in the field `{field}` are {unit} from {from}, by the length of a revolution";
+        /// The point times of a cloud fit no unit.
+        Warning "point_times_implausible" PointTimesImplausible {
+            /// The field.
+            field: String,
+            /// From the first point to the last, in the unit of the field.
+            span: f64,
+            /// Expected \[s\].
+            expected_s: f64,
+        } => "the point times in the field `{field}` differ by up to {span} in a cloud, which is not about {expected_s:.3} s in any unit (s, ms, us, ns); they were not used, and the scans are not deskewed";
+        /// Clouds named after another frame are in the frame of their sensor.
+        Warning "lidar_frame_doubtful" LidarFrameDoubtful {
+            /// The frame.
+            frame_id: String,
+            /// What speaks for another frame, or against it.
+            evidence: String,
+        } => "the messages have the frame `{frame_id}`, expected the frame of the sensor; {evidence}";
+        /// The maximum range of scans is not set.
+        Info "range_max_unset" RangeMaxUnset {
+            /// Scans.
+            n_scans: u64,
+        } => "{n_scans} scans have a range_max that is not more than 0, which was taken as not set";
+        /// The time between the beams of scans is impossible.
+        Warning "time_increment_ignored" TimeIncrementIgnored {
+            /// Scans.
+            n_scans: u64,
+            /// The first of them.
+            example: String,
+        } => "{n_scans} scans have an impossible time between beams, and are not deskewed: {example}";
         /// What was deskewed.
         Info "deskewed" Deskewed {
             /// Scans deskewed.

@@ -112,6 +112,90 @@ pub enum IngestError {
         /// Whether the packets seem to come from more than one sensor.
         is_mixed: bool,
     },
+    /// All stamps are 0, or all are equal.
+    #[error(
+        "{path}: all {n_messages} messages of topic `{topic}` have the stamp {stamp_ns} ns in their header, so their times are not known; set `{option} = \"log\"` to use log times"
+    )]
+    NoStamps {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// Number of messages.
+        n_messages: u64,
+        /// The stamp \[ns\].
+        stamp_ns: i64,
+        /// The option that selects log times.
+        option: &'static str,
+    },
+    /// Several sensors publish on the topic.
+    #[error(
+        "{path}: topic `{topic}` has messages of several frames: {frames}; set `{option}` to one of them"
+    )]
+    SeveralFrames {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The frames, with their numbers of messages.
+        frames: String,
+        /// The option that selects a frame.
+        option: &'static str,
+    },
+    /// No message has the selected frame.
+    #[error(
+        "{path}: topic `{topic}` has no message of the frame `{requested}` (`{option}`); its frames are {frames}"
+    )]
+    FrameNotOnTopic {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The frame in the options.
+        requested: String,
+        /// The frames, with their numbers of messages.
+        frames: String,
+        /// The option that selects a frame.
+        option: &'static str,
+    },
+    /// The packets come from several sensors that cannot be told apart.
+    #[error(
+        "{path}: topic `{topic}` has packets of two sensors in one frame ({evidence}); record each sensor on its own topic, or set a different frame_id in each driver"
+    )]
+    SeveralSensors {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The device clocks.
+        evidence: String,
+    },
+    /// The readings of the lidar give no return, or are not in metres.
+    #[error(
+        "{path}: topic `{topic}` gives no usable ranges: {evidence}; correct the driver or the limits, or set `ingest.lidar.topic` to another topic"
+    )]
+    NoReturns {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// What was found.
+        evidence: String,
+    },
+    /// The clouds are not in the frame of the sensor.
+    #[error(
+        "{path}: the clouds of topic `{topic}` are in the frame `{frame_id}`, not in the frame of the lidar: {evidence}; record the clouds as the driver makes them, before they are transformed, or set `ingest.lidar.topic` to such a topic"
+    )]
+    NotInSensorFrame {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The frame in the header.
+        frame_id: String,
+        /// What was found.
+        evidence: String,
+    },
     /// The packets come from another Velodyne model.
     #[error(
         "{path}: topic `{topic}` contains packets of a Velodyne {found} ({evidence}), expected a Velodyne HDL-32E, the only supported model; set `ingest.lidar.topic` to a topic with point clouds or planar scans, or remove the log from `ingest.logs`"
@@ -183,6 +267,12 @@ impl IngestError {
             Self::NoFrames { .. } => "no_frames",
             Self::Fuse { .. } => "cannot_fuse",
             Self::NoScans { .. } => "no_scans",
+            Self::NoStamps { .. } => "no_stamps",
+            Self::SeveralFrames { .. } => "several_frames",
+            Self::FrameNotOnTopic { .. } => "frame_not_on_topic",
+            Self::SeveralSensors { .. } => "two_sensors",
+            Self::NoReturns { .. } => "no_returns",
+            Self::NotInSensorFrame { .. } => "not_in_sensor_frame",
             Self::OtherSensor { .. } => "other_sensor",
             Self::NoBeam { .. } => "no_beam",
             Self::StillClock { .. } => "still_clock",

@@ -37,6 +37,7 @@ mod deskew;
 mod drive;
 mod error;
 mod mcap;
+mod observe;
 mod options;
 mod pose;
 mod pose_options;
@@ -103,7 +104,7 @@ pub fn ingest<E: From<IngestError> + Send>(
             .map_init(Buffer::default, |buffer, piece| reader.decode(piece, *part, buffer))
             .collect()
     };
-    let mut assembler = Assembler::new(options, beam.laser, losses);
+    let mut assembler = Assembler::new(options, beam, losses);
     // The pieces of a window are decoded in parallel. They are assembled in file order while the
     // next window is decoded.
     let mut decoded = windows.first().map(decode_window).unwrap_or_default();

@@ -7,13 +7,17 @@ use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
 use crate::deskew::queue::{Deskewer, MeasuredScan, ReadyScan};
+use crate::deskew::timed_scan::TimedScan;
 use crate::drive::topic::Topic;
 use crate::error::{IngestError, NoScansReason};
 use crate::options::{Clock, Options};
 use crate::pose::readings::MotionReadings;
 use crate::pose::topics::PoseTopics;
 use crate::pose::trajectory::{self, PoseSource};
+use crate::scan::beam::Beam;
 use crate::scan::decode::Decoded;
+use crate::scan::observers::{Observed, Observers};
+use crate::scan::point_time::PointTimeFound;
 use crate::velodyne::model::{Laser, OtherSensor, format_lasers};
 use crate::velodyne::revolution::ScanBuilder;
 use crate::velodyne::stream::{PacketStream, PacketSummary};
@@ -48,6 +52,10 @@ pub(crate) struct Assembler {
     builder: ScanBuilder,
     deskewer: Deskewer,
     motion: MotionReadings,
+    observers: Observers,
+    point_time: PointTimeFound,
+    /// The last scan from a message.
+    last_scan: Option<TimedScan>,
     counts: Counts,
     losses: Losses,
 }
@@ -71,7 +79,8 @@ struct Counts {
 
 impl Assembler {
     /// `losses` are the losses so far.
-    pub(crate) fn new(options: &Options, laser: Laser, losses: Losses) -> Self {
+    pub(crate) fn new(options: &Options, beam: Beam, losses: Losses) -> Self {
+        let laser = beam.laser;
         Self {
             laser,
             options: options.clone(),
@@ -79,6 +88,9 @@ impl Assembler {
             builder: ScanBuilder::new(&options.lidar, laser),
             deskewer: Deskewer::new(options),
             motion: MotionReadings::default(),
+            observers: Observers::default(),
+            point_time: beam.point_time,
+            last_scan: None,
             counts: Counts::default(),
             losses,
         }
@@ -94,8 +106,11 @@ impl Assembler {
         let mut ready = Vec::new();
         for piece in decoded {
             self.packets.push(piece.file, piece.packets, &mut revolutions);
-            let scans = piece.scans.into_iter().map(MeasuredScan::Timed);
+            self.observers.add(piece.lidar, piece.poses);
+            let scans = self.without_duplicates(piece.scans);
             scans
+                .into_iter()
+                .map(MeasuredScan::Timed)
                 .chain(revolutions.drain(..).map(MeasuredScan::Revolution))
                 .for_each(|scan| self.deskewer.push(scan));
             self.add_motion(piece.motion);
@@ -107,6 +122,22 @@ impl Assembler {
             self.losses.merge(piece.losses);
         }
         take(self.build_scans(ready))
+    }
+
+    /// Removes scans that are the same as the scan before: the message was recorded twice.
+    fn without_duplicates(&mut self, mut scans: Vec<TimedScan>) -> Vec<TimedScan> {
+        let before = scans.len();
+        scans.dedup();
+        if let (Some(last), Some(first)) = (&self.last_scan, scans.first())
+            && last == first
+        {
+            scans.remove(0);
+        }
+        self.losses.add(LossKind::DuplicateScans, (before - scans.len()) as u64);
+        if let Some(last) = scans.last() {
+            self.last_scan = Some(last.clone());
+        }
+        scans
     }
 
     /// Adds the motion of the next piece.
@@ -181,6 +212,15 @@ impl Assembler {
         if 0 < self.counts.n_poses_back {
             notes.push(NoteKind::PosesReordered { n_poses: self.counts.n_poses_back }.into());
         }
+        let pose_topics = pose.map(PoseTopics::all).unwrap_or_default();
+        let observed = Observed {
+            path,
+            lidar,
+            pose_topics: &pose_topics,
+            options: &self.options,
+            point_time: self.point_time,
+        };
+        self.observers.report(&observed, &mut self.losses, &mut notes)?;
         self.check_scans(path, &lidar.name, &packets)?;
 
         let is_own_frame = self.options.pose.as_ref().is_some_and(|pose| {
@@ -214,6 +254,9 @@ impl Assembler {
         packets: &PacketSummary,
     ) -> Result<(), IngestError> {
         let (path, topic) = (path.to_owned(), topic.to_owned());
+        if let Some(evidence) = packets.two_sensors.clone() {
+            return Err(IngestError::SeveralSensors { path, topic, evidence });
+        }
         if self.counts.n_scans == 0 {
             let reason = match self.losses.is_empty() && 0 < packets.split.n_partial {
                 true => NoScansReason::LessThanOneRevolution,

@@ -11,6 +11,9 @@ use messages::{Column, MessageError, PointCloud, Source, read_point_cloud};
 use crate::deskew::timed_scan::TimedScan;
 use crate::error::BeamNotFound;
 use crate::options::LidarOptions;
+use crate::scan::cloud_frame::ConeCheck;
+use crate::scan::point_time::{PointTime, PointTimeFound, PointTimes};
+use crate::stamp::Stamp;
 
 /// A beam matches a requested elevation if it differs by at most this \[deg\]. It is slightly more than
 /// half the angle between two beams of an HDL-32E.
@@ -52,20 +55,20 @@ struct Time<'a> {
 }
 
 impl<'a> Fields<'a> {
-    fn of(cloud: &'a PointCloud<'_>) -> messages::Result<Self> {
+    fn of(cloud: &'a PointCloud<'_>, time: &PointTimeFound) -> messages::Result<Self> {
         let column = |name: &str| {
             cloud.column(name).ok_or_else(|| MessageError::NoField {
                 field: name.to_owned(),
                 found: cloud.fields.iter().map(|field| field.name.clone()).collect(),
             })
         };
-        // velodyne_pointcloud: `time`, seconds since the stamp. Ouster: `t`, nanoseconds since the
-        // stamp. Hesai and Robosense: `timestamp`, seconds since the epoch.
-        let time = [("time", 1e9, false), ("t", 1.0, false), ("timestamp", 1e9, true)]
-            .into_iter()
-            .find_map(|(name, ns, absolute)| {
-                Some(Time { column: cloud.column(name)?, ns, absolute })
-            });
+        let time = match *time {
+            PointTimeFound::Known(PointTime { field, unit, is_absolute }) => {
+                let column = cloud.column(field);
+                column.map(|column| Time { column, ns: unit.ns(), absolute: is_absolute })
+            }
+            _ => None,
+        };
         let (x, y, z) = (column("x")?, column("y")?, column("z")?);
         Ok(Self { x, y, z, ring: column("ring")?, time })
     }
@@ -78,7 +81,7 @@ impl<'a> Fields<'a> {
     }
 
     /// The time of a point \[ns since the epoch\]. `None` if it is too far from the stamp in the header,
-    /// because it comes from another clock or has another unit.
+    /// because it comes from another clock.
     fn stamp_ns(&self, header_ns: i64, k: usize) -> Option<i64> {
         let Some(time) = &self.time else { return Some(header_ns) };
         let ns = (time.column.get(k) * time.ns).round();
@@ -86,12 +89,44 @@ impl<'a> Fields<'a> {
         let is_near = stamp_ns.saturating_sub(header_ns).saturating_abs() <= MAX_FROM_HEADER_NS;
         (ns.is_finite() && is_near).then_some(stamp_ns)
     }
+
+    /// The time of the first point of the scan, which is the stamp of the scan, and the times of the
+    /// kept points relative to it \[ns\]. The stamp is `None` if the times come from another clock than
+    /// the stamp in the header. The times are empty if they are not known.
+    ///
+    /// If log times are used, the stamp in the header does not matter: the times count from the first
+    /// point.
+    fn times_ns(
+        &self,
+        cloud: &PointCloud<'_>,
+        first: Option<usize>,
+        kept: impl Iterator<Item = usize>,
+        stamp: Stamp,
+    ) -> (Option<i64>, Vec<i64>) {
+        let (Some(first), Some(time)) = (first, &self.time) else {
+            return (Some(cloud.stamp_ns), Vec::new());
+        };
+        if stamp == Stamp::Log {
+            let from_first = |k| ((time.column.get(k) - time.column.get(first)) * time.ns).round();
+            let is_near = |ns: &f64| ns.abs() <= MAX_FROM_HEADER_NS as f64;
+            let times: Option<Vec<i64>> =
+                kept.map(|k| Some(from_first(k)).filter(is_near).map(|ns| ns as i64)).collect();
+            return (Some(cloud.stamp_ns), times.unwrap_or_default());
+        }
+        let Some(stamp_ns) = self.stamp_ns(cloud.stamp_ns, first) else {
+            return (None, Vec::new());
+        };
+        let times: Option<Vec<i64>> =
+            kept.map(|k| self.stamp_ns(cloud.stamp_ns, k).map(|ns| ns - stamp_ns)).collect();
+        (Some(stamp_ns), times.unwrap_or_default())
+    }
 }
 
-/// Elevations of the points of each ring, from several clouds.
+/// Elevations of the points of each ring, and the times of the points, from several clouds.
 #[derive(Debug, Default)]
 pub(crate) struct Rings {
     elevations_deg: BTreeMap<u32, Vec<f64>>,
+    times: PointTimes,
     n_clouds: usize,
 }
 
@@ -112,8 +147,13 @@ impl Rings {
     /// Adds the points of a cloud.
     pub(crate) fn add(&mut self, source: Source, data: &[u8]) -> messages::Result<()> {
         let cloud = read_point_cloud(source, data)?;
-        let fields = Fields::of(&cloud)?;
+        let fields = Fields::of(&cloud, &PointTimeFound::None)?;
         self.n_clouds += 1;
+        let returns = (0..fields.ring.len()).filter_map(|k| {
+            let [x, y, _] = fields.point(k)?;
+            Some((k, x, y))
+        });
+        self.times.add(&cloud, returns);
         for k in 0..fields.ring.len() {
             let Some([x, y, range]) = fields.point(k) else { continue };
             if MIN_RANGE_M <= range {
@@ -130,10 +170,16 @@ impl Rings {
     /// Adds the points of other clouds.
     pub(crate) fn merge(&mut self, other: Self) {
         self.n_clouds += other.n_clouds;
+        self.times.merge(other.times);
         for (ring, elevations) in other.elevations_deg {
             let of_ring = self.elevations_deg.entry(ring).or_default();
             of_ring.extend(elevations.into_iter().take(MAX_POINTS - of_ring.len()));
         }
+    }
+
+    /// How the points state their times.
+    pub(crate) fn point_time(&self) -> PointTimeFound {
+        self.times.found()
     }
 
     /// The rings and their elevations \[deg\]: the median over the points of each ring.
@@ -191,17 +237,36 @@ pub(crate) struct FromCloud {
     /// Whether the times of the points come from another clock, so that the stamp in the header was
     /// used.
     pub(crate) is_of_other_clock: bool,
+    /// Number of points of the ring with a positive finite range.
+    pub(crate) n_points: u64,
 }
 
-/// Extracts the scan of one ring.
+/// Adds the rings of a cloud to the check of its frame.
+pub(crate) fn check_frame(
+    source: Source,
+    data: &[u8],
+    check: &mut ConeCheck,
+) -> messages::Result<()> {
+    let cloud = read_point_cloud(source, data)?;
+    let fields = Fields::of(&cloud, &PointTimeFound::None)?;
+    check.add(fields.ring.len(), |k| {
+        let [x, y, range] = fields.point(k).filter(|[.., range]| MIN_RANGE_M <= *range)?;
+        let elevation = libm::atan2(fields.z.get(k), (x * x + y * y).sqrt());
+        Some((fields.ring.get(k) as u32, elevation, range))
+    });
+    Ok(())
+}
+
+/// Extracts the scan of one ring. `time` is how the points state their times.
 pub(crate) fn scan(
     source: Source,
     data: &[u8],
     ring: u32,
+    time: &PointTimeFound,
     options: &LidarOptions,
 ) -> messages::Result<FromCloud> {
     let cloud = read_point_cloud(source, data)?;
-    let fields = Fields::of(&cloud)?;
+    let fields = Fields::of(&cloud, time)?;
     let ring = f64::from(ring);
     let of_ring: Vec<usize> =
         (0..fields.ring.len()).filter(|&k| fields.ring.get(k) == ring).collect();
@@ -233,26 +298,19 @@ pub(crate) fn scan(
     }
     // Compare as f32, the type of the fields, so a point exactly at a limit is kept.
     let limits = options.range_min_m as f32..=options.range_max_m as f32;
+    let n_points = points.len() as u64;
     let side = if options.upside_down { -1.0 } else { 1.0 };
     points.retain(|(_, [_, _, range], _)| limits.contains(&(*range as f32)));
     let (x_m, y_m) = points.iter().map(|(_, [x, y, _], _)| (*x as f32, (side * y) as f32)).unzip();
-    let stamp_ns = match of_ring.first() {
-        Some(&k) => fields.stamp_ns(cloud.stamp_ns, k),
-        None => Some(cloud.stamp_ns),
-    };
+    let first = of_ring.first().copied();
+    let kept = points.iter().map(|&(_, _, k)| k);
+    let (stamp_ns, times_ns) = fields.times_ns(&cloud, first, kept, options.stamp);
     let is_of_other_clock = stamp_ns.is_none();
     let stamp_ns = stamp_ns.unwrap_or(cloud.stamp_ns);
-    let times_ns = match fields.time.is_some() && !is_of_other_clock {
-        true => points
-            .iter()
-            .map(|&(_, _, k)| fields.stamp_ns(cloud.stamp_ns, k).map(|ns| ns - stamp_ns))
-            .collect::<Option<_>>(),
-        false => None,
-    };
     let scan = Scan { stamp_ns, x_m, y_m, coverage_deg: swept.to_degrees() as f32, hole_deg: 0.0 };
     let n_beyond = n_beyond as u64;
-    let scan = TimedScan { scan, times_ns: times_ns.unwrap_or_default() };
-    Ok(FromCloud { scan, is_sorted, n_beyond, is_of_other_clock })
+    let scan = TimedScan { scan, times_ns };
+    Ok(FromCloud { scan, is_sorted, n_beyond, is_of_other_clock, n_points })
 }
 
 /// The widest sweep of any ring whose points are in order.

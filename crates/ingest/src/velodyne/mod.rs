@@ -8,5 +8,6 @@ pub(crate) mod packet;
 pub(crate) mod packet_gap;
 pub(crate) mod reorder;
 pub(crate) mod revolution;
+pub(crate) mod sensor_clocks;
 pub(crate) mod split;
 pub(crate) mod stream;

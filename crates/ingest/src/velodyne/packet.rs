@@ -6,6 +6,8 @@ use dataset::{LossKind, Losses};
 use messages::hdl32e::{self, BLOCK_PERIOD_NS, BLOCKS, Packet, ReturnMode};
 use messages::{Source, read_velodyne};
 
+use crate::stamp::Stamp;
+
 /// The part of a packet that belongs to one laser.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct RingPacket {
@@ -83,18 +85,31 @@ pub(crate) struct Packets {
 /// is not a multiple of it, so the samples cover the whole circle.
 const SAMPLING_INTERVAL: usize = 7;
 
+/// Maximum duration of the packets of one message \[ns\]. A message is a revolution, 0.05 to 0.2 s.
+const MAX_MESSAGE_NS: i64 = 1_000_000_000;
+
 impl Packets {
     /// Adds the packets of one message. Packets that do not have the HDL-32E layout are counted as
     /// losses.
+    ///
+    /// With `log_ns`, the log time of the message, the stamps do not matter: the last packet has the
+    /// log time. The other packets keep their time before it, if the stamps show it.
     pub(crate) fn add(
         &mut self,
         source: Source,
         data: &[u8],
         laser: usize,
+        log_ns: Option<u64>,
     ) -> messages::Result<()> {
         let scan = read_velodyne(source, data)?;
         self.packets.reserve(scan.len());
-        for (end_ns, bytes) in scan.packets() {
+        let last_ns = scan.packets().last().map_or(0, |(stamp_ns, _)| stamp_ns);
+        for (stamp_ns, bytes) in scan.packets() {
+            let end_ns = log_ns.map_or(stamp_ns, |log_ns| {
+                let before_ns = last_ns.saturating_sub(stamp_ns);
+                let is_known = (0..=MAX_MESSAGE_NS).contains(&before_ns);
+                Stamp::Log.select(0, log_ns) - if is_known { before_ns } else { 0 }
+            });
             match Packet::new(bytes) {
                 Ok(packet) => {
                     if self.packets.len().is_multiple_of(SAMPLING_INTERVAL) {
@@ -174,12 +189,27 @@ pub(crate) mod tests {
         let source = Source { message_type: MessageType::VelodyneScan, encoding: Encoding::Cdr };
         for laser in 0..LASERS {
             let mut found = Packets::default();
-            found.add(source, &message, laser).unwrap();
+            found.add(source, &message, laser, None).unwrap();
             assert_eq!(found.packets.len(), 1);
             assert_eq!(found.packets[0].distance[3], if laser == 11 { 500 } else { 0 });
             assert_eq!((found.losses.total(), found.losses.count("malformed_packets")), (2, 2));
             assert_eq!(found.foreign.into_iter().collect::<Vec<_>>(), [("HDL-64E", 1)]);
             assert_eq!(found.lasers_with_returns, 1 << 11);
+        }
+    }
+
+    /// Three packets with stamps 2 ns and 1 ns before the last, or with the stamp 0.
+    #[test]
+    fn with_log_times_the_last_packet_has_the_log_time() {
+        let packet = PacketBuilder::new([5; BLOCKS], 0).finish();
+        let source = Source { message_type: MessageType::VelodyneScan, encoding: Encoding::Cdr };
+        for (stamps, expected) in [([7, 8, 9], [98, 99, 100]), ([0, 0, 0], [100, 100, 100])] {
+            let packets = stamps.map(|stamp_ns| (stamp_ns, packet));
+            let message = ros::write_velodyne_scan(Encoding::Cdr, "v", 0, &packets);
+            let mut found = Packets::default();
+            found.add(source, &message, 0, Some(100)).unwrap();
+            let end_ns: Vec<i64> = found.packets.iter().map(|packet| packet.end_ns).collect();
+            assert_eq!(end_ns, expected);
         }
     }
 }

@@ -8,6 +8,7 @@ use crate::velodyne::model::{Laser, ModelEvidence};
 use crate::velodyne::packet::Packets;
 use crate::velodyne::reorder::Reorderer;
 use crate::velodyne::revolution::Revolution;
+use crate::velodyne::sensor_clocks::SensorClocks;
 use crate::velodyne::split::{RevolutionSplitter, SplitSummary};
 
 /// If at least one packet in this many is faulty, the packets come from more than one sensor. A
@@ -20,6 +21,7 @@ pub(crate) struct PacketStream {
     reorderer: Reorderer,
     splitter: RevolutionSplitter,
     pub(crate) model: ModelEvidence,
+    clocks: SensorClocks,
     n_packets: u64,
     /// Lasers with a return, one bit each.
     lasers_with_returns: u32,
@@ -38,6 +40,8 @@ pub(crate) struct PacketSummary {
     pub(crate) lasers_with_returns: u32,
     /// Whether the packets seem to come from more than one sensor.
     pub(crate) is_mixed: bool,
+    /// The device clocks of two sensors, if the packets come from two.
+    pub(crate) two_sensors: Option<String>,
     /// Packets and revolutions that were dropped.
     pub(crate) losses: Losses,
 }
@@ -49,6 +53,7 @@ impl PacketStream {
             reorderer: Reorderer::default(),
             splitter: RevolutionSplitter::new(options, laser),
             model: ModelEvidence::default(),
+            clocks: SensorClocks::default(),
             n_packets: 0,
             lasers_with_returns: 0,
             losses: Losses::default(),
@@ -70,6 +75,7 @@ impl PacketStream {
                 continue;
             }
             self.model.add_packet(packet);
+            self.clocks.add(packet);
             self.reorderer.push(packet, |packet| self.splitter.push(packet, revolutions));
         }
         self.model.add_foreign(packets.foreign);
@@ -94,6 +100,7 @@ impl PacketStream {
             n_late: self.reorderer.n_late,
             lasers_with_returns: self.lasers_with_returns,
             is_mixed,
+            two_sensors: self.clocks.two_sensors(),
             losses,
         }
     }

@@ -1,0 +1,71 @@
+//! What is observed of one topic: stamps, log times and frames.
+
+use messages::{Source, read_frame_ids, read_stamp_ns};
+
+use crate::observe::frames::FrameCounts;
+use crate::observe::stamps::StampObserver;
+
+/// A message with a log time from this on has a stamp of 0 only if it was never stamped \[ns\]. Logs of
+/// simulations can start at 0.
+const FIRST_REAL_LOG_NS: u64 = 1_000_000_000;
+
+/// What one piece of a log shows of a topic.
+#[derive(Debug, Default)]
+pub(crate) struct TopicPiece {
+    /// Stamp and log time of each message \[ns\].
+    pub(crate) stamps: Vec<(i64, u64)>,
+    pub(crate) frames: FrameCounts,
+    /// Number of messages with the stamp 0.
+    pub(crate) n_unstamped: u64,
+}
+
+/// What the pieces so far show of a topic.
+#[derive(Debug, Default)]
+pub(crate) struct TopicObserver {
+    pub(crate) stamps: StampObserver,
+    pub(crate) frames: FrameCounts,
+    pub(crate) n_unstamped: u64,
+}
+
+/// The header of a message.
+pub(crate) struct SeenHeader {
+    /// Without a leading slash. Empty if the type has no frame.
+    pub(crate) frame_id: String,
+    /// Whether the stamp is 0 although the log time shows that the clock did not start at 0.
+    pub(crate) is_unstamped: bool,
+}
+
+impl TopicPiece {
+    /// Adds a message. `None` for transforms, which have no header, and for messages whose header
+    /// cannot be read.
+    pub(crate) fn add(&mut self, source: Source, log_ns: u64, data: &[u8]) -> Option<SeenHeader> {
+        let stamp_ns = read_stamp_ns(source, data).ok().flatten()?;
+        let frame_id = read_frame_ids(source, data).ok()?.map(|ids| ids.frame_id.into_owned());
+        if let Some(frame_id) = &frame_id {
+            self.frames.add(frame_id);
+        }
+        let is_unstamped = stamp_ns == 0 && FIRST_REAL_LOG_NS <= log_ns;
+        match is_unstamped {
+            true => self.n_unstamped += 1,
+            false => self.stamps.push((stamp_ns, log_ns)),
+        }
+        Some(SeenHeader { frame_id: frame_id.unwrap_or_default(), is_unstamped })
+    }
+
+    pub(crate) fn merge(&mut self, later: Self) {
+        self.stamps.extend(later.stamps);
+        self.frames.merge(later.frames);
+        self.n_unstamped += later.n_unstamped;
+    }
+}
+
+impl TopicObserver {
+    /// Adds what the next piece shows.
+    pub(crate) fn add(&mut self, piece: TopicPiece) {
+        for (stamp_ns, log_ns) in piece.stamps {
+            self.stamps.add(stamp_ns, log_ns);
+        }
+        self.frames.merge(piece.frames);
+        self.n_unstamped += piece.n_unstamped;
+    }
+}
