@@ -76,12 +76,10 @@ pub fn compare_turns(
     options.check()?;
     let steps = steps(options, wheels, imu, None, &mut Losses::default())?;
     let with_gyro = |of: &dyn Fn(&Step) -> Option<Rates>| compare(options, &steps.steps, of);
-    let gyro_noise = |step: &Step| {
-        step.motion.variance.turn_gyro_rad2 + step.motion.variance.turn_both_rad2
-    };
-    let wheel_noise = |step: &Step| {
-        step.motion.variance.turn_wheels_rad2 + step.motion.variance.turn_both_rad2
-    };
+    let gyro_noise =
+        |step: &Step| step.motion.variance.turn_gyro_rad2 + step.motion.variance.turn_both_rad2;
+    let wheel_noise =
+        |step: &Step| step.motion.variance.turn_wheels_rad2 + step.motion.variance.turn_both_rad2;
     let heading = HeadingTurns::new(imu);
     let heading_noise = 2.0 * options.heading_noise_std * options.heading_noise_std;
     let wheels_rad = |step: &Step| step.motion.difference_m / options.track_m;
@@ -206,8 +204,7 @@ impl Sums {
             },
             correlation,
             is_reference_resolved: straight.max(RESOLVED * best.reference_noise) < best.reference,
-            is_sensor_resolved: straight
-                .max(RESOLVED * (best.reference_noise + best.sensor_noise))
+            is_sensor_resolved: straight.max(RESOLVED * (best.reference_noise + best.sensor_noise))
                 < best.sensor,
         };
         (best.resolution(), comparison)
@@ -220,8 +217,13 @@ impl Sums {
             false => 0.0,
         };
         let means = [mean(&|rates| rates.reference.0), mean(&|rates| rates.sensor.0)];
-        let mut sums =
-            Self { reference: 0.0, sensor: 0.0, product: 0.0, reference_noise: 0.0, sensor_noise: 0.0 };
+        let mut sums = Self {
+            reference: 0.0,
+            sensor: 0.0,
+            product: 0.0,
+            reference_noise: 0.0,
+            sensor_noise: 0.0,
+        };
         for Window { secs, rates } in windows {
             let reference = rates.reference.0 / secs - means[0];
             let sensor = rates.sensor.0 / secs - means[1];
@@ -379,7 +381,8 @@ mod tests {
         let stamp_ns = |k: i64| k * 50_000_000;
         let wheels: Vec<WheelSample> = (0..=1200)
             .map(|k| {
-                let sample = WheelSample::from_twist(stamp_ns(k), 1.0, winding(k as f64 / 20.0), 0.5);
+                let sample =
+                    WheelSample::from_twist(stamp_ns(k), 1.0, winding(k as f64 / 20.0), 0.5);
                 WheelSample { left_m_s: -sample.left_m_s, ..sample }
             })
             .collect();

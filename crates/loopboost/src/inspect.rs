@@ -3,7 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
-use ingest::{ClockSurvey, Content, HORIZONTAL_LASER, PacketsSurvey, Survey, TopicSurvey, survey};
+use ingest::{
+    ClockSurvey, Content, HORIZONTAL_LASER, JointsSurvey, PacketsSurvey, Survey, TopicSurvey,
+    survey,
+};
 use serde_json::json;
 
 use crate::findings::Findings;
@@ -172,10 +175,24 @@ fn describe(path: &Path, drive: &LogFile, survey: &Survey) {
                     out!("  {} -> {}, {}", of.parent, of.child, counted(of.n_samples, "sample"));
                 }
             }
+            Content::Joints(joints) => print_joints(joints),
             Content::Other => {}
         }
     }
     out!();
+}
+
+fn print_joints(joints: &JointsSurvey) {
+    match (joints.left.join(", "), joints.right.join(", ")) {
+        (left, right) if !left.is_empty() => {
+            out!("  {} joints; wheels: {left} (left), {right} (right)", joints.joints.len());
+        }
+        _ => out!(
+            "  {} joints, no wheels on both sides: {}",
+            joints.joints.len(),
+            joints.joints.join(", ")
+        ),
+    }
 }
 
 fn print_packets(packets: &PacketsSurvey) {

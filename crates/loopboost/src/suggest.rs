@@ -129,6 +129,12 @@ impl<'a> Suggestion<'a> {
                 if let Some(imu) = imu {
                     writeln!(text, "imu = {:?}", imu.topic)?;
                 }
+                if matches!(wheels.content, Content::Joints(_)) {
+                    writeln!(
+                        text,
+                        "# wheel_radius_m = 0.1   # joints are in rad/s; or wheel_speed_unit = \"m/s\""
+                    )?;
+                }
                 match self.track_m {
                     Some(track_m) => writeln!(text, "track_m = {track_m:?}")?,
                     None => writeln!(

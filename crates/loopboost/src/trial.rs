@@ -102,7 +102,8 @@ impl Trial {
 fn topics(options: &Options) -> Vec<String> {
     let mut topics = vec![options.lidar.topic.clone()];
     if let Some(pose) = &options.pose {
-        topics.extend([&pose.topic, &pose.wheels, &pose.imu].into_iter().flatten().cloned());
+        topics.extend([&pose.topic, &pose.imu].into_iter().flatten().cloned());
+        topics.extend(pose.wheels.iter().map(|wheels| wheels.topic.clone()));
         topics.extend(pose.frames.iter().flat_map(|frames| frames.topics.clone()));
     }
     topics

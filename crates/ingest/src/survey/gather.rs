@@ -1,12 +1,12 @@
 //! Surveys a drive: reads all messages and summarizes each topic.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use dataset::{Loss, LossKind, Losses, StampedPose, Subject, Trajectory};
 use messages::hdl32e::{self, BLOCKS, HORIZONTAL_LASER, HOUR_US, LASERS, Packet, ReturnMode};
 use messages::{
-    MessageType, NavSatFix, Source, read_laser_scan, read_nav_sat_fix, read_transforms,
-    read_velodyne,
+    MessageType, NavSatFix, Source, read_joint_state, read_laser_scan, read_nav_sat_fix,
+    read_transforms, read_velodyne,
 };
 use rayon::prelude::*;
 
@@ -16,11 +16,12 @@ use crate::mcap::chunk::{self, Buffer};
 use crate::mcap::log::{Channel, Log};
 use crate::options::LidarOptions;
 use crate::pose::gnss;
+use crate::pose::joints::wheels_of_topic;
 use crate::pose::message::{stamped_pose, undecodable};
 use crate::scan::cloud::Rings;
 use crate::survey::report::{
-    ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,
-    TopicSurvey, TransformSurvey,
+    ClockSurvey, CloudsSurvey, Content, JointsSurvey, PacketsSurvey, PosesSurvey, ScansSurvey,
+    Survey, TopicSurvey, TransformSurvey,
 };
 use crate::types::{FRAME_TYPES, LIDAR_TYPES, POSE_TYPES};
 use crate::velodyne::device_clock::device_gap_us;
@@ -92,6 +93,8 @@ struct Found {
     foreign: BTreeMap<&'static str, u64>,
     poses: Vec<StampedPose>,
     fixes: Vec<NavSatFix>,
+    /// The names in each kind of `JointState` message.
+    joints: BTreeSet<Vec<String>>,
     /// Number of samples of each transform, by parent and child.
     transforms: BTreeMap<(String, String), u64>,
     scans: Option<ScansSurvey>,
@@ -150,6 +153,12 @@ impl Found {
                 for transform in read_transforms(source, data).map_err(undecodable)? {
                     let names = (transform.parent, transform.child);
                     *self.transforms.entry(names).or_default() += 1;
+                }
+            }
+            MessageType::JointState => {
+                let names = read_joint_state(source, data).map_err(undecodable)?.names;
+                if !self.joints.contains(&names) && self.joints.len() < MAX_JOINT_KINDS {
+                    self.joints.insert(names);
                 }
             }
             MessageType::NavSatFix => {
@@ -225,6 +234,7 @@ impl Found {
                 (merged.n_beams.0.min(scans.n_beams.0), merged.n_beams.1.max(scans.n_beams.1));
             merged.coverage_deg = merged.coverage_deg.max(scans.coverage_deg);
         }
+        self.joints.extend(other.joints);
         self.rings.merge(other.rings);
         self.losses.merge(other.losses);
     }
@@ -286,10 +296,17 @@ impl Gathered {
                     |((parent, child), n_samples)| TransformSurvey { parent, child, n_samples };
                 Content::Transforms(transforms.map(survey).collect())
             }
+            Some(MessageType::JointState) => {
+                let [joints, left, right] = wheels_of_topic(&found.joints);
+                Content::Joints(JointsSurvey { joints, left, right })
+            }
             _ => Content::Other,
         }
     }
 }
+
+/// Different kinds of `JointState` messages of a topic. More than this are not collected.
+const MAX_JOINT_KINDS: usize = 100;
 
 /// A device clock with a smaller offset agrees with the host clock \[s\]. GPS receivers and hosts with
 /// NTP agree better. A free-running clock is that close by chance once in 900 times.

@@ -55,6 +55,8 @@ pub enum Content {
     Poses(PosesSurvey),
     /// Transforms between frames, in order of the frame names.
     Transforms(Vec<TransformSurvey>),
+    /// Joints.
+    Joints(JointsSurvey),
     /// Anything else.
     Other,
 }
@@ -174,6 +176,17 @@ pub struct PosesSurvey {
     pub widest_gap_s: f64,
     /// Extent along x and y \[m\].
     pub extent_m: (f64, f64),
+}
+
+/// Joints.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct JointsSurvey {
+    /// All joints of the topic, in alphabetical order.
+    pub joints: Vec<String>,
+    /// The joints that are used as wheels on the left, if there are wheels on both sides.
+    pub left: Vec<String>,
+    /// The same on the right.
+    pub right: Vec<String>,
 }
 
 /// One transform of a topic.
