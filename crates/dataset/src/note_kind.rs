@@ -4,6 +4,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::codes::codes;
 
+/// ``log `a` `` or ``logs `a`, `b`, `c`, ...``
+fn of_logs(logs: &[String]) -> String {
+    const MAX_NAMED: usize = 3;
+    let names: Vec<String> = logs.iter().take(MAX_NAMED).map(|log| format!("`{log}`")).collect();
+    let more = if MAX_NAMED < logs.len() { ", ..." } else { "" };
+    format!("{} {}{more}", if logs.len() == 1 { "log" } else { "logs" }, names.join(", "))
+}
+
 codes! {
     /// The kinds of notes. `docs/messages.md` gives meaning, usual cause and remedy of each.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,6 +38,43 @@ codes! {
             /// Its error.
             error: String,
         } => "`{stage}` refuses the suggested pipeline: {error}";
+        /// Two pose topics of a log disagree in extent or revisits.
+        Warning "pose_topics_disagree" PoseTopicsDisagree {
+            /// The other topic. The subject is the topic that the pipeline uses.
+            other: String,
+            /// Extent of the path by the topic: root mean square distance from its centre \[m\].
+            extent_m: f64,
+            /// Extent of the path by the other topic \[m\].
+            other_extent_m: f64,
+            /// Revisits by the topic: pairs of places.
+            n_revisits: u64,
+            /// Those that are farther apart than `apart_m` by the other topic.
+            n_apart: u64,
+            /// Revisits by the other topic.
+            other_n_revisits: u64,
+            /// Those that are farther apart than `apart_m` by the topic.
+            other_n_apart: u64,
+            /// A revisit by one topic is contradicted if it is farther apart by the other \[m\].
+            apart_m: f64,
+        } => "the poses of topic `{other}` disagree: their path extends {other_extent_m:.1} m around its centre instead of {extent_m:.1} m; {n_apart} of {n_revisits} revisits are more than {apart_m} m apart by `{other}`, and {other_n_apart} of its {other_n_revisits} revisits are more than {apart_m} m apart here; labels are only right with poses that do not drift: check which topic is right";
+        /// Logs of one site have poses in a frame of odometry, which starts anew in each log.
+        Warning "site_in_odometry_frame" SiteInOdometryFrame {
+            /// The site.
+            site: String,
+            /// The frame of the poses.
+            frame: String,
+            /// The logs with poses in that frame.
+            logs: Vec<String>,
+        } => "site `{site}`: the poses of {} are in frame `{frame}`, which starts anew in each log and drifts; pairs of two logs may have wrong labels: use poses in a map frame that the logs share, or remove `site`", of_logs(logs);
+        /// All logs of a site start at the origin.
+        Warning "site_starts_at_origin" SiteStartsAtOrigin {
+            /// The site.
+            site: String,
+            /// The logs.
+            logs: Vec<String>,
+            /// Largest distance of a first pose from the origin \[m\].
+            farthest_m: f64,
+        } => "site `{site}`: the first poses of {} are all at the origin (within {farthest_m:.2} m), as if each log had a map frame of its own; pairs of two logs may have wrong labels: check that the logs share a map frame, or remove `site`", of_logs(logs);
 
         /// Messages of other frames were not used.
         Info "other_frames" OtherFrames {

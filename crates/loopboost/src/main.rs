@@ -14,6 +14,7 @@ macro_rules! out {
 
 mod cli;
 mod config;
+mod disagreement;
 mod findings;
 mod import;
 mod inspect;
@@ -22,7 +23,9 @@ mod logs;
 mod models;
 mod pipeline;
 mod plot;
+mod pose_choice;
 mod run;
+mod site_frames;
 mod stage;
 mod stages;
 mod suggest;
