@@ -64,8 +64,8 @@ pub use scan::assemble::Ingested;
 pub use stamp::Stamp;
 pub use survey::gather::survey;
 pub use survey::report::{
-    ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey, ScansSurvey,
-    Survey, TopicSurvey, TransformSurvey,
+    ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey,
+    ScansSurvey, Survey, TopicSurvey, TransformSurvey,
 };
 pub use types::{FRAME_TYPES, IMU_TYPES, LIDAR_TYPES, POSE_TYPES, WHEEL_TYPES};
 pub use wheel_options::{WheelSpeedUnit, WheelsTopic};

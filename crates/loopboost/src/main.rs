@@ -18,6 +18,7 @@ mod disagreement;
 mod findings;
 mod import;
 mod inspect;
+mod label_choice;
 mod lineage;
 mod logs;
 mod models;

@@ -319,28 +319,72 @@ mod tests {
     #[test]
     fn poses_that_do_not_drift_come_first_whatever_the_number_of_messages() {
         let order = order(vec![
-            poses("/fix", "sensor_msgs/msg/NavSatFix", "gps", 900.0),
-            poses("/goal_pose", "geometry_msgs/msg/PoseStamped", "map", 500.0),
-            poses("/gt", "geometry_msgs/msg/PoseStamped", "", 60.0),
-            poses("/localization", "nav_msgs/msg/Odometry", "r1/map", 90.0),
-            poses("/odom", "nav_msgs/msg/Odometry", "odom", 800.0),
-            poses("/odometry/filtered", "nav_msgs/Odometry", "r1/odom", 700.0),
-            poses("/robot_pose_truth", "geometry_msgs/msg/PoseStamped", "odom", 50.0),
-            poses("/wheel_odom", "nav_msgs/msg/Odometry", "", 600.0),
+            poses("/fix", "sensor_msgs/msg/NavSatFix", "gps", 90.0),
+            poses("/goal_pose", "geometry_msgs/msg/PoseStamped", "map", 50.0),
+            poses("/localization", "nav_msgs/msg/Odometry", "r1/map", 30.0),
+            poses("/odom", "nav_msgs/msg/Odometry", "odom", 80.0),
+            poses("/odometry/filtered", "nav_msgs/Odometry", "r1/odom", 70.0),
+            poses("/pose", "geometry_msgs/msg/PoseStamped", "", 40.0),
+            poses("/robot_pose_truth", "geometry_msgs/msg/PoseStamped", "odom", 20.0),
+            poses("/wheel_odom", "nav_msgs/msg/Odometry", "", 60.0),
         ]);
         let expected = [
             "/robot_pose_truth",
             "/localization",
-            "/gt",
+            "/pose",
             "/odom",
             "/odometry/filtered",
             "/wheel_odom",
             "/fix",
             "/goal_pose",
         ];
-        // A tenth of the places of the densest topic (900 m) is 90 m: fewer are the last choice.
-        assert_ne!(order, expected);
-        assert_eq!(order[0], "/localization");
-        assert!(order[1..].iter().position(|n| n == "/odom") < order[1..].iter().position(|n| n == "/gt"));
+        assert_eq!(order, expected);
+    }
+
+    /// A tenth of the 900 m of the odometry is 90 m.
+    #[test]
+    fn a_topic_with_poses_at_few_places_is_the_last_choice() {
+        let slam = |path_m| poses("/slam", "geometry_msgs/msg/PoseStamped", "map", path_m);
+        let odometry = || poses("/odom", "nav_msgs/msg/Odometry", "odom", 900.0);
+        assert_eq!(order(vec![odometry(), slam(91.0)]), ["/slam", "/odom"]);
+        assert_eq!(order(vec![odometry(), slam(80.0)]), ["/odom", "/slam"]);
+    }
+
+    fn transform(parent: &str, child: &str, is_constant: bool) -> TransformSurvey {
+        let (parent, child) = (parent.to_owned(), child.to_owned());
+        TransformSurvey { parent, child, n_samples: 9, is_constant }
+    }
+
+    fn tf(name: &str, transforms: Vec<TransformSurvey>) -> TopicSurvey {
+        topic(name, "tf2_msgs/msg/TFMessage", Content::Transforms(transforms))
+    }
+
+    #[test]
+    fn frames_are_suggested_from_the_map_to_the_lidar() {
+        let moving = || {
+            tf("/tf", vec![transform("/map", "odom", false), transform("odom", "base_link", false)])
+        };
+        let fixed = || {
+            tf(
+                "/tf_static",
+                vec![transform("base_link", "mast", true), transform("mast", "velodyne_top", true)],
+            )
+        };
+        assert_eq!(order(vec![moving(), fixed()]), ["map -> velodyne_top"]);
+        assert_eq!(order(vec![moving()]), ["map -> base_link"]);
+        // Static transforms alone do not connect the robot to a map.
+        assert!(order(vec![fixed()]).is_empty());
+        // Transforms from a map are preferred to odometry, but not to a topic in the map.
+        let odometry = || poses("/odom", "nav_msgs/msg/Odometry", "odom", 9.0);
+        assert_eq!(order(vec![odometry(), moving()]), ["map -> base_link", "/odom"]);
+        let in_map = poses("/pose", "geometry_msgs/msg/PoseStamped", "map", 9.0);
+        assert_eq!(order(vec![in_map, moving()]), ["/pose", "map -> base_link"]);
+    }
+
+    #[test]
+    fn a_map_frame_that_never_moves_against_the_odometry_is_no_better() {
+        let links = vec![transform("map", "odom", true), transform("odom", "base_link", false)];
+        let survey = Survey { topics: vec![tf("/tf", links)], ..Survey::default() };
+        assert_eq!(pose_candidates(&survey)[0].quality, Quality::Drifting);
     }
 }

@@ -5,10 +5,11 @@ use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use dataset::{FULL_RING_DEG, Note, Subject};
+use dataset::{Note, Subject};
 use ingest::{Content, HORIZONTAL_LASER, MessageType, Survey, TopicSurvey};
 
 use crate::disagreement::disagreement;
+use crate::label_choice::LabelChoice;
 use crate::pose_choice::{PoseCandidate, PoseSource, Quality, main_frame, pose_candidates};
 
 /// The suggested topics.
@@ -124,6 +125,14 @@ impl<'a> Suggestion<'a> {
         others.collect()
     }
 
+    /// The angle that planar scans of the lidar topic cover \[deg\]; `None` for other topics.
+    pub(crate) fn coverage_deg(&self) -> Option<f64> {
+        match &self.lidar?.content {
+            Content::Scans(scans) => Some(scans.coverage_deg),
+            _ => None,
+        }
+    }
+
     /// The text of the pipeline file. The path of the log is relative to the folder `from`, or
     /// absolute without it.
     pub(crate) fn pipeline(
@@ -131,6 +140,7 @@ impl<'a> Suggestion<'a> {
         lidar: &TopicSurvey,
         log: &Path,
         from: Option<&Path>,
+        labels: &LabelChoice,
     ) -> Result<String> {
         let found = |path: &Path| {
             path.canonicalize().with_context(|| format!("cannot find {}", path.display()))
@@ -145,6 +155,7 @@ impl<'a> Suggestion<'a> {
         let mut text = format!("[ingest]\nlogs = [{:?}]\n", log.display().to_string());
         self.write_poses(&mut text)?;
         write_lidar(&mut text, lidar)?;
+        labels.write(&mut text)?;
         Ok(text)
     }
 
@@ -237,7 +248,7 @@ fn write_frame_id(text: &mut String, key: &str, topic: &TopicSurvey) -> fmt::Res
     }
 }
 
-/// Writes the options of the lidar, and those of the labels that depend on it.
+/// Writes the options of the lidar.
 fn write_lidar(text: &mut String, lidar: &TopicSurvey) -> fmt::Result {
     writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;
     write_frame_id(text, "frame_id", lidar)?;
@@ -268,12 +279,6 @@ fn write_lidar(text: &mut String, lidar: &TopicSurvey) -> fmt::Result {
             if near < far && far.is_finite() {
                 writeln!(text, "range_max_m = {far:?}")?;
             }
-            if scans.coverage_deg < f64::from(FULL_RING_DEG) {
-                writeln!(
-                    text,
-                    "\n[label]\npositive_heading_deg = 45.0   # the scanner covers less than a full circle"
-                )?;
-            }
         }
         _ => {}
     }
@@ -292,36 +297,18 @@ fn relative(path: &Path, folder: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ingest::TransformSurvey;
 
     fn topic(name: &str, schema: &str, n_messages: u64, content: Content) -> TopicSurvey {
         let (topic, schema, encoding) = (name.to_owned(), schema.to_owned(), "cdr".to_owned());
-        TopicSurvey { topic, schema, encoding, n_messages, rate_hz: None, content }
-    }
-
-    #[test]
-    fn frames_are_suggested_from_the_map_to_the_lidar() {
-        let transform = |parent: &str, child: &str| TransformSurvey {
-            parent: parent.to_owned(),
-            child: child.to_owned(),
-            n_samples: 9,
-        };
-        let moving =
-            Content::Transforms(vec![transform("/map", "odom"), transform("odom", "base_link")]);
-        let fixed = Content::Transforms(vec![
-            transform("base_link", "mast"),
-            transform("mast", "velodyne_top"),
-        ]);
-        let of = |topics: Vec<TopicSurvey>| Survey { topics, ..Survey::default() };
-        let tf = |name: &str, content| topic(name, "tf2_msgs/msg/TFMessage", 9, content);
-        let survey = of(vec![tf("/tf", moving.clone()), tf("/tf_static", fixed.clone())]);
-        let frames = SuggestedFrames::of(&survey).unwrap();
-        assert_eq!((&*frames.parent, &*frames.child), ("map", "velodyne_top"));
-        assert_eq!(frames.topics, ["/tf", "/tf_static"]);
-        let frames = SuggestedFrames::of(&of(vec![tf("/tf", moving)])).unwrap();
-        assert_eq!(frames.child, "base_link");
-        // Static transforms alone do not connect the robot to a map.
-        assert!(SuggestedFrames::of(&of(vec![tf("/tf_static", fixed)])).is_none());
+        TopicSurvey {
+            topic,
+            schema,
+            encoding,
+            n_messages,
+            rate_hz: None,
+            frames: Vec::new(),
+            content,
+        }
     }
 
     /// The log has no poses. Its wheels and IMU give poses if the track width is given.
@@ -338,7 +325,8 @@ mod tests {
         let log = std::env::current_exe().unwrap();
         let written = |survey: &Survey, track_m| {
             let suggestion = Suggestion::of(survey, track_m);
-            let text = suggestion.pipeline(suggestion.lidar.unwrap(), &log, None).unwrap();
+            let labels = LabelChoice::without_keyframes(None);
+            let text = suggestion.pipeline(suggestion.lidar.unwrap(), &log, None, &labels).unwrap();
             (suggestion.missing(), suggestion.has_poses(), text)
         };
         let (missing, has_poses, text) = written(&survey, None);
@@ -353,8 +341,10 @@ mod tests {
         let moving = ingest::PosesSurvey { path_m: 3.0, ..Default::default() };
         survey.topics[2].content = Content::Poses(moving);
         let (missing, _, text) = written(&survey, None);
-        assert!(missing.is_empty() && text.contains("pose.topic = \"/odom\""), "{text}");
-        assert!(written(&survey, Some(0.4)).2.contains("wheels = \"/joints\""));
+        assert!(missing.is_empty() && text.contains("\npose.topic = \"/odom\""), "{text}");
+        let (_, _, text) = written(&survey, Some(0.4));
+        assert!(text.contains("wheels = \"/joints\""), "{text}");
+        assert!(text.contains("# pose.topic = \"/odom\""), "{text}");
     }
 
     #[test]

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use dataset::{Loss, LossKind, Losses, StampedPose, Subject, Trajectory};
 use messages::hdl32e::{self, BLOCKS, HORIZONTAL_LASER, HOUR_US, LASERS, Packet, ReturnMode};
 use messages::{
-    FrameIds, MessageType, NavSatFix, Source, read_frame_ids, read_joint_state, read_laser_scan, read_nav_sat_fix,
-    read_transforms, read_velodyne,
+    FrameIds, MessageType, NavSatFix, Source, read_frame_ids, read_joint_state, read_laser_scan,
+    read_nav_sat_fix, read_transforms, read_velodyne,
 };
 use rayon::prelude::*;
 
@@ -20,8 +20,8 @@ use crate::pose::joints::wheels_of_topic;
 use crate::pose::message::{stamped_pose, undecodable};
 use crate::scan::cloud::Rings;
 use crate::survey::report::{
-    ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey, ScansSurvey,
-    Survey, TopicSurvey, TransformSurvey,
+    ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey,
+    ScansSurvey, Survey, TopicSurvey, TransformSurvey,
 };
 use crate::types::{FRAME_TYPES, LIDAR_TYPES, POSE_TYPES};
 use crate::velodyne::device_clock::device_gap_us;
