@@ -11,6 +11,7 @@ mod deskew;
 mod encodings;
 mod errors;
 mod evidence;
+mod faults_import;
 mod faults_labels;
 mod import;
 mod made;

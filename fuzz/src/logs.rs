@@ -52,7 +52,7 @@ fn options(choice: u8) -> Options {
 /// Surveys and ingests a log. Scans and poses must be valid for any log.
 pub fn read(bytes: Vec<u8>, options: &Options) {
     let Ok(log) = Log::from_bytes(Path::new("fuzz.mcap"), bytes) else { return };
-    let n_bytes = log.bytes().len() as u64;
+    let n_bytes = log.n_bytes();
     let survey = ingest::survey(&[&log], |position| assert!(position <= n_bytes));
     assert_eq!(survey.n_bytes, n_bytes);
     let mut n_scans = 0;

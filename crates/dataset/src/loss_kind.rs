@@ -59,6 +59,11 @@ codes! {
         /// A message belongs to a channel that the file does not define.
         Warning "undefined_channel" UndefinedChannel
             => "message{s} of a channel that the file does not define";
+        /// A channel has two definitions that contradict each other.
+        Warning "redefined_channels" RedefinedChannels {
+            /// The topic of the second definition.
+            second: String,
+        } => "channel{s} defined twice with different topics or types (the second time as `{second}`)";
         /// The statistics of the file count more messages than it contains.
         Warning "missing_messages" MissingMessages
             => "message{s} counted in the statistics of the file but not in its data";
@@ -87,6 +92,11 @@ codes! {
             /// What is wrong, by code.
             fault: String,
         } => "message{s} that could not be decoded as {message_type} ({fault})";
+        /// A message was compressed by the recorder.
+        Warning "compressed_messages" CompressedMessages {
+            /// The type, by name.
+            message_type: String,
+        } => "{message_type} message{s} that the recorder compressed one by one with Zstandard (rosbag2, `--compression-mode message`): convert the bag with `ros2 bag convert`, with no compression or with chunk compression (`storage_preset_profile: zstd_fast`)";
         /// A point cloud lacks a field.
         Warning "clouds_without_field" CloudsWithoutField {
             /// The missing field.
@@ -119,19 +129,7 @@ codes! {
         Warning "no_wheel_joints" NoWheelJoints {
             /// The joints of the message.
             joints: String,
-        } => "message{s} without driven wheels on the left and on the right (joints: {joints})";
-        /// A JointState message has more wheels on one side.
-        Warning "unequal_wheel_joints" UnequalWheelJoints {
-            /// Wheels on the left.
-            n_left: u64,
-            /// Wheels on the right.
-            n_right: u64,
-            /// The joints of the message.
-            joints: String,
-        } => "message{s} with {n_left} wheels on the left and {n_right} on the right, expected the same number; name them in `ingest.pose.wheels` (joints: {joints})";
-        /// A step of a wheel position that no wheel can make.
-        Warning "wheel_position_jumps" WheelPositionJumps
-            => "step{s} between two wheel positions that the wheels cannot make, or that are not known after a pause (the counter was reset or wrapped)";
+        } => "message{s} without joints named `left` and `right` (joints: {joints})";
 
         // Velodyne packets.
 
@@ -321,7 +319,17 @@ codes! {
             at_byte: u64,
         } => "capture{s} damaged at byte {at_byte} (earlier packets are kept)";
         /// A datagram to another port.
-        Info "datagrams_to_other_ports" DatagramsToOtherPorts => "UDP datagram{s} to other ports";
+        Info "datagrams_to_other_ports" DatagramsToOtherPorts {
+            /// The ports and their numbers of datagrams.
+            ports: String,
+        } => "UDP datagram{s} to other ports ({ports})";
+        /// A data packet to another port, in a capture without data packets on the data port.
+        Warning "data_packets_to_other_port" DataPacketsToOtherPort {
+            /// The port of the packets.
+            port: u16,
+            /// The data port of the import.
+            used: u16,
+        } => "Velodyne data packet{s} to port {port}, expected port {used}: set `--udp-port {port}`";
         /// A datagram of another size to the position port.
         Info "datagrams_not_positions" DatagramsNotPositions
             => "datagram{s} to the position port with a length other than 512 bytes";

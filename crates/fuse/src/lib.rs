@@ -55,7 +55,6 @@
 //! # Ok::<(), fuse::FuseError>(())
 //! ```
 
-mod comparison;
 mod dead_reckoning;
 mod error;
 mod filter;
@@ -70,7 +69,6 @@ mod steps;
 
 use dataset::{Losses, Pose2, wrap_angle};
 
-pub use comparison::{TurnComparison, TurnComparisons, compare_turns};
 pub use dead_reckoning::DeadReckoning;
 pub use error::FuseError;
 pub use gravity::GravityEstimate;

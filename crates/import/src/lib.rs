@@ -38,6 +38,7 @@ mod carmen;
 mod encode;
 mod error;
 mod format;
+mod identify;
 mod input;
 mod nclt;
 mod options;
@@ -53,6 +54,7 @@ use dataset::{Losses, Note};
 
 pub use error::ImportError;
 pub use format::Format;
+pub use identify::{Recording, identify};
 pub use options::{Compression, Options, Topics};
 pub use sniff::sniff;
 pub use write::{Imported, ImportedTopic};

@@ -1,6 +1,7 @@
 //! Content sniffing: the format of a file, from its first bytes.
 
 use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::error::ImportError;
@@ -30,16 +31,20 @@ pub fn sniff(path: &Path) -> Result<Format, ImportError> {
             true => Err(unknown(folder_contents(path)?)),
         };
     }
-    let mut head = vec![0; HEAD_BYTES];
-    let n = File::open(path)
-        .and_then(|mut file| read_full(&mut file, &mut head))
-        .map_err(|source| ImportError::io("read", path, source))?;
-    head.truncate(n);
+    let head = head(path).map_err(|source| ImportError::io("read", path, source))?;
     sniff_head(path, &head).map_err(unknown)
 }
 
+/// The first bytes of a file.
+pub(crate) fn head(path: &Path) -> io::Result<Vec<u8>> {
+    let mut head = vec![0; HEAD_BYTES];
+    let n = read_full(&mut File::open(path)?, &mut head)?;
+    head.truncate(n);
+    Ok(head)
+}
+
 /// Finds the format from the first bytes of a file. The error describes an unknown format.
-fn sniff_head(path: &Path, head: &[u8]) -> Result<Format, String> {
+pub(crate) fn sniff_head(path: &Path, head: &[u8]) -> Result<Format, String> {
     if pcap::is_capture(head) {
         return Ok(Format::Pcap);
     }
@@ -83,7 +88,7 @@ fn nclt_files(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
     Ok(entries.into_iter().filter(|path| nclt::is_known(path) && path.is_file()).collect())
 }
 
-fn entries(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
+pub(crate) fn entries(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
     let error = |source| ImportError::io("read folder", folder, source);
     let mut entries = fs::read_dir(folder)
         .map_err(error)?

@@ -158,7 +158,7 @@ impl<W: Write + Seek> LogWriter<W> {
             let expected = match self.format {
                 Format::Pcap => {
                     "UDP datagrams of 1206 bytes from the selected sensor to its data port (2368, \
-                     or the port given by `--udp-port`)"
+                     or the port given by `--udp-port`); set `--udp-port` to the port of the sensor"
                 }
                 Format::Nclt => "packets of velodyne_hits.bin, or rows of numbers",
                 Format::Carmen => "FLASER, RLASER, ROBOTLASER, RAWLASER, ODOM or TRUEPOS lines",

@@ -369,12 +369,36 @@ fn parts_of_a_capture_are_merged_by_time() {
     assert_eq!(packets(&import(&files, &Options::default()).unwrap()), expected());
 }
 
+/// The ports are listed, the most frequent first. Data packets to another port are a warning if the data
+/// port has none, even if there are positions.
+#[test]
+fn ports_that_are_not_used_are_listed() {
+    let udp = |port, payload: &[u8]| ethernet(&[8, 0], &ipv4_udp(SENSOR, port, payload));
+    let at = |k: i64| T0_NS + k * STEP_NS;
+    let mut frames = vec![(at(0), udp(8308, &position()))];
+    frames.extend((1..4).map(|k| (at(k), udp(53, &[1, 2, 3]))));
+    frames.extend((4..6).map(|k| (at(k), udp(2370, &data(0)))));
+    frames.push((at(6), udp(9999, &[0; 1206])));
+    let log = run(&pcap(LITTLE_MICRO, 1, &frames));
+    assert_eq!(log.of("/fix").count(), 1);
+    assert_eq!(log.losses(Severity::Warning), [("data_packets_to_other_port", 2)]);
+    assert_eq!(log.losses(Severity::Info), [("datagrams_to_other_ports", 4)]);
+    let losses = log.imported.losses.to_string();
+    assert!(losses.contains("4 UDP datagrams to other ports (53: 3, 9999: 1)"), "{losses}");
+    assert!(losses.contains("set `--udp-port 2370`"), "{losses}");
+
+    frames.push((at(7), data_frame(0)));
+    let log = run(&pcap(LITTLE_MICRO, 1, &frames));
+    assert_eq!(log.losses(Severity::Warning), []);
+    assert_eq!(log.losses(Severity::Info), [("datagrams_to_other_ports", 6)]);
+}
+
 #[test]
 fn a_capture_without_sensor_data_is_an_error_that_lists_its_content() {
     let frame = ethernet(&[8, 0], &ipv4_udp(SENSOR, 2369, &data(0)));
     let capture = pcap(LITTLE_MICRO, 1, &[(T0_NS, frame)]);
     let error = import(&[("a.pcap", &capture)], &Options::default()).unwrap_err().to_string();
-    assert!(error.contains("1 UDP datagram to other ports"), "{error}");
+    assert!(error.contains("1 Velodyne data packet to port 2369"), "{error}");
     assert!(error.contains("2368") && error.contains("--udp-port"), "{error}");
     let options = Options { udp_port: 2369, ..Options::default() };
     assert_eq!(import(&[("a.pcap", &capture)], &options).unwrap().messages.len(), 1);

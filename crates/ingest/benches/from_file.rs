@@ -94,15 +94,15 @@ fn to_scans_table(log: &Path, table: &Path, lidar: &str, pose: &str) -> usize {
     .expect("an intact log")
 }
 
-/// Reads chunks in parallel from the memory-mapped file.
+/// Reads the file, then its chunks in parallel.
 fn sum_of_messages(log: &Path, topics: [&str; 2]) -> u64 {
-    let log = Log::open(log).expect("a log");
-    let summary = mcap::Summary::read(log.bytes()).expect("readable").expect("a summary");
+    let bytes = std::fs::read(log).expect("a log");
+    let summary = mcap::Summary::read(&bytes).expect("readable").expect("a summary");
     summary
         .chunk_indexes
         .par_iter()
         .map(|index| {
-            let messages = summary.stream_chunk(log.bytes(), index).expect("a chunk");
+            let messages = summary.stream_chunk(&bytes, index).expect("a chunk");
             messages
                 .map(|message| message.expect("a message"))
                 .filter(|message| topics.contains(&message.channel.topic.as_str()))
@@ -123,7 +123,7 @@ fn median(mut times: Vec<Duration>) -> Duration {
     times[times.len() / 2]
 }
 
-/// Peak of the resident set, including the mapped file (Linux).
+/// Peak of the resident set (Linux).
 fn peak_memory_kb() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 use dataset::Losses;
 
+use crate::pose::file::PoseFileError;
 use crate::pose::frames::LookupError;
-use crate::pose::wheel_error::WheelError;
 
 /// Why a log cannot be ingested.
 #[derive(Debug, thiserror::Error)]
@@ -19,6 +19,28 @@ pub enum IngestError {
         /// The error of the operating system.
         source: std::io::Error,
     },
+    /// Another program wrote to the file while it was read.
+    #[error(
+        "{path} was changed while it was read: {change}; wait until the recorder or the copy has finished, then run the command again"
+    )]
+    Changed {
+        /// The log.
+        path: PathBuf,
+        /// What changed.
+        change: String,
+    },
+    /// The file defines a channel twice, with different topics or types.
+    #[error(
+        "{path} defines channel {channel} twice, as {definitions}: its messages cannot be told apart; check the file with `mcap doctor`, and join recordings with `mcap merge`, which gives each channel its own id"
+    )]
+    RedefinedChannel {
+        /// The log.
+        path: PathBuf,
+        /// The id of the channel.
+        channel: u16,
+        /// Topic and type of both definitions.
+        definitions: String,
+    },
     /// The file is empty.
     #[error("{path} is empty: the recorder wrote nothing, or the copy failed")]
     Empty {
@@ -26,14 +48,14 @@ pub enum IngestError {
         path: PathBuf,
     },
     /// The file does not start with the magic bytes of MCAP.
-    #[error(
-        "{path} is not an MCAP file: it starts with {found}, expected the magic bytes 89 4d 43 41 50 30 0d 0a; convert the recording to MCAP (`loopboost import`, `ros2 bag convert` or `mcap convert`)"
-    )]
+    #[error("{path} is not an MCAP file: it {found}; {remedy}")]
     NotMcap {
         /// The file.
         path: PathBuf,
-        /// The first bytes, in hexadecimal.
+        /// What the file is or contains, as the end of a sentence.
         found: String,
+        /// What to do.
+        remedy: String,
     },
     /// No channel has the topic.
     #[error("{path} has no topic `{topic}`; {remedy}")]
@@ -72,6 +94,14 @@ pub enum IngestError {
         /// What was dropped.
         losses: Losses,
     },
+    /// The trajectory file cannot be used.
+    #[error("{path}")]
+    PoseFile {
+        /// The trajectory file.
+        path: PathBuf,
+        /// Why.
+        source: PoseFileError,
+    },
     /// The transforms do not give poses.
     #[error(
         "{path}: no poses of frame `{child}` in frame `{parent}`; the transforms contain {found}: set `ingest.pose.frames` to two connected frames"
@@ -97,16 +127,6 @@ pub enum IngestError {
         topic: String,
         /// Why.
         source: fuse::FuseError,
-    },
-    /// Wheels and IMU contradict each other or the options.
-    #[error("{path}: no poses from topic `{topic}`")]
-    Wheels {
-        /// The log.
-        path: PathBuf,
-        /// The topic of the wheels.
-        topic: String,
-        /// Why.
-        source: WheelError,
     },
     /// The lidar topic gives no scan.
     #[error(
@@ -270,14 +290,16 @@ impl IngestError {
     pub fn code(&self) -> &'static str {
         match self {
             Self::Open { .. } => "cannot_open",
+            Self::Changed { .. } => "changed_while_read",
+            Self::RedefinedChannel { .. } => "redefined_channel",
             Self::Empty { .. } => "empty_file",
             Self::NotMcap { .. } => "not_mcap",
             Self::NoTopic { .. } => "no_topic",
             Self::WrongType { .. } => "wrong_type",
             Self::NoPoses { .. } => "no_poses",
+            Self::PoseFile { .. } => "pose_file",
             Self::NoFrames { .. } => "no_frames",
             Self::Fuse { .. } => "cannot_fuse",
-            Self::Wheels { source, .. } => source.code(),
             Self::NoScans { .. } => "no_scans",
             Self::NoStamps { .. } => "no_stamps",
             Self::SeveralFrames { .. } => "several_frames",

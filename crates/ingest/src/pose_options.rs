@@ -4,12 +4,12 @@ use dataset::{OutOfRange, Pose2};
 use serde::{Deserialize, Serialize};
 
 use crate::stamp::Stamp;
-use crate::wheel_options::{WheelSpeedUnit, WheelsTopic};
+use crate::time_unit::TimeUnit;
 
 /// Where poses come from: the section `[ingest.pose]`.
 ///
-/// Set one of `topic` (a topic with poses), `frames` (two frames connected by transforms) and `wheels`
-/// (with `imu`: poses are fused).
+/// Set one of `topic` (a topic with poses), `frames` (two frames connected by transforms), `file` (a
+/// trajectory from another program) and `wheels` (with `imu`: poses are fused).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -28,33 +28,34 @@ pub struct PoseOptions {
     /// `foxglove.FrameTransform`).
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frames: Option<Frames>,
+    /// Text file with the poses of the robot, from another program: TUM (`stamp x y z qx qy qz qw`, with
+    /// or without covariance), or stamps and KITTI matrices. The path is relative to the pipeline file,
+    /// and `{log}` stands for the name of the log. The map frame is that of the file: give `site` only
+    /// to logs whose files share one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<String>,
+    /// Unit of the stamps in `file`: `s`, `ms`, `us` or `ns`.
+    pub file_time_unit: TimeUnit,
     /// Origin of the map frame for satellite fixes. Without it, the first fix of the log is the origin
     /// of a map frame of this log alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub origin: Option<Origin>,
     /// Maximum speed of the robot. Poses that need a higher speed are reported \[m/s\].
     pub max_speed_m_s: f64,
-    /// Topic with wheel speeds: `JointState`, or `Odometry`, of which the twist is used. The driven wheels
-    /// are found by the names of the joints, which contain `wheel` and a side, or are named:
-    /// `wheels = { topic = "/joint_states", left = ["..."], right = ["..."] }`.
+    /// Topic with wheel speeds: `JointState` (joint names that contain `left` or `right`), or `Odometry`,
+    /// of which the twist is used.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub wheels: Option<WheelsTopic>,
+    pub wheels: Option<String>,
     /// Topic with `Imu` messages.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub imu: Option<String>,
     /// Track width: distance between the contact points of the left and the right wheel \[m\].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub track_m: Option<f64>,
-    /// Radius of the wheels \[m\]. `JointState` messages contain rad and rad/s.
+    /// Radius of the wheels, if the `JointState` messages contain angles \[m\]. Without it, positions are
+    /// in m and velocities in m/s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wheel_radius_m: Option<f64>,
-    /// Set to `m/s` if the `JointState` messages contain m and m/s instead. Without this and
-    /// `wheel_radius_m`, m/s must be confirmed by the gyroscope.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub wheel_speed_unit: Option<WheelSpeedUnit>,
-    /// Factor for the angular velocity of the `Imu` messages, which is in rad/s and counter-clockwise:
-    /// 0.0174533 if it is in deg/s, -1 if the gyroscope turns clockwise.
-    pub gyro_scale: f64,
     /// Whether to use the headings in the orientation of the `Imu` messages. Their offset to the map is
     /// estimated.
     pub use_heading: bool,
@@ -72,14 +73,14 @@ impl Default for PoseOptions {
             frame_id: None,
             stamp: Stamp::Header,
             frames: None,
+            file: None,
+            file_time_unit: TimeUnit::S,
             origin: None,
             max_speed_m_s: 15.0,
             wheels: None,
             imu: None,
             track_m: None,
             wheel_radius_m: None,
-            wheel_speed_unit: None,
-            gyro_scale: 1.0,
             use_heading: true,
             start: None,
             fuse: fuse::Options::default(),
@@ -153,6 +154,11 @@ impl PoseOptions {
         Self { topic: Some(topic.into()), ..Self::default() }
     }
 
+    /// The path of [`Self::file`] for a log.
+    pub fn file_of(&self, log: &str) -> Option<String> {
+        self.file.as_ref().map(|file| file.replace("{log}", log))
+    }
+
     /// Whether the poses are in a map frame of this log alone, starting at the first wheel reading.
     pub fn is_own_frame(&self) -> bool {
         self.wheels.is_some() && self.start.is_none()
@@ -163,6 +169,7 @@ impl PoseOptions {
         let sources = [
             ("topic", self.topic.is_some()),
             ("frames", self.frames.is_some()),
+            ("file", self.file.is_some()),
             ("wheels", self.wheels.is_some()),
         ];
         let set: Vec<_> = sources.into_iter().filter(|(_, is_set)| *is_set).map(|s| s.0).collect();
@@ -188,9 +195,9 @@ impl PoseOptions {
         if let Some(frames) = &self.frames {
             return frames.check();
         }
-        match self.topic {
-            Some(_) => Ok(()),
-            None => self.check_wheels(),
+        match self.wheels {
+            None => Ok(()),
+            Some(_) => self.check_wheels(),
         }
     }
 
@@ -202,15 +209,6 @@ impl PoseOptions {
             && !(radius_m.is_finite() && 0.0 < radius_m)
         {
             return out_of_range("wheel_radius_m", radius_m, "more than 0");
-        }
-        if self.wheel_radius_m.is_some() && self.wheel_speed_unit.is_some() {
-            return Err(PoseOptionError::RadiusAndUnit);
-        }
-        if let Some(fault) = self.wheels.as_ref().and_then(WheelsTopic::fault) {
-            return Err(PoseOptionError::WheelJoints { fault });
-        }
-        if !(self.gyro_scale.is_finite() && self.gyro_scale != 0.0) {
-            return out_of_range("gyro_scale", self.gyro_scale, "a finite number other than 0");
         }
         if let Some((key, found)) = self.start.and_then(|start| start.not_finite()) {
             return out_of_range(&format!("start.{key}"), found, "a finite number");
@@ -262,7 +260,7 @@ fn out_of_range(key: &str, found: f64, expected: &str) -> Result<(), PoseOptionE
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PoseOptionError {
     /// No source of poses is set, or several are.
-    #[error("`ingest.pose` sets {found}, expected one of `topic`, `frames` and `wheels`")]
+    #[error("`ingest.pose` sets {found}, expected one of `topic`, `frames`, `file` and `wheels`")]
     NotOneSource {
         /// What is set.
         found: String,
@@ -297,19 +295,6 @@ pub enum PoseOptionError {
         "`ingest.pose` sets `wheels` without `track_m`; set it to the distance between the left and the right wheel [m]"
     )]
     NoTrackWidth,
-    /// Two units of the wheels are stated.
-    #[error(
-        "`ingest.pose` sets `wheel_radius_m` and `wheel_speed_unit`; set `wheel_radius_m` if the joints are in rad and rad/s, or `wheel_speed_unit` if they are in m and m/s"
-    )]
-    RadiusAndUnit,
-    /// The joints of the wheels are named wrongly.
-    #[error(
-        "`ingest.pose.wheels` names {fault}; set `left` and `right` to the joints of the wheels on each side"
-    )]
-    WheelJoints {
-        /// What is wrong.
-        fault: String,
-    },
     /// An option is out of range.
     #[error(transparent)]
     OutOfRange(#[from] OutOfRange),
@@ -322,7 +307,7 @@ mod tests {
     #[test]
     fn exactly_one_source_of_poses_must_be_set() {
         let wheels = PoseOptions {
-            wheels: Some("/wheels".into()),
+            wheels: Some("/wheels".to_owned()),
             track_m: Some(0.5),
             ..PoseOptions::default()
         };

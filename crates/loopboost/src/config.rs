@@ -243,6 +243,12 @@ impl Config {
         self.folder.join(path)
     }
 
+    /// The file with the poses of a log, from `ingest.pose.file`.
+    pub(crate) fn pose_file(&self, log: &str) -> Result<Option<PathBuf>> {
+        let file = self.for_log(log)?.pose.and_then(|pose| pose.file_of(log));
+        Ok(file.map(|file| self.beside_pipeline(&file)))
+    }
+
     /// The options of one log.
     pub(crate) fn for_log(&self, log: &str) -> Result<LogOptions> {
         let IngestSection { site, lidar, pose, .. } = self.ingest.clone();
@@ -325,7 +331,7 @@ fn apply_override(table: &mut Table, text: &str) -> Result<()> {
 
 /// Poses have one source: a new source replaces the old one.
 fn remove_other_sources(pose: &mut Table, over: &Table) {
-    const SOURCES: [&str; 3] = ["topic", "frames", "wheels"];
+    const SOURCES: [&str; 4] = ["topic", "frames", "file", "wheels"];
     let Some(source) = SOURCES.into_iter().find(|source| over.contains_key(*source)) else {
         return;
     };

@@ -128,14 +128,14 @@ mod tests {
                 .notes
                 .push(Note::new(NoteKind::PartialRevolutions { n_revolutions: 2 }, subject));
         }
-        findings.losses.add(LossKind::DatagramsToOtherPorts, 1);
+        findings.losses.add(LossKind::DatagramsToOtherPorts { ports: "2369: 1".to_owned() }, 1);
         let stamps = NoteKind::StampSteps { n_steps: 1, largest_s: 0.5 };
         findings.notes.push(Note::new(stamps, Subject::log("d")));
         let lines = findings.lines();
         let starts = [
             "warning[duplicate_packets]: 8 duplicate packets (topic `/velodyne_packets`) in 4 logs (`a`, `b`, `c`, ...)",
             "warning[stamp_steps]: ",
-            "info[datagrams_to_other_ports]: 1 UDP datagram to other ports",
+            "info[datagrams_to_other_ports]: 1 UDP datagram to other ports (2369: 1)",
             "info[partial_revolutions]: ",
             "info[partial_revolutions]: ",
             "info[partial_revolutions]: ",

@@ -4,13 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 use ingest::{
-    ClockSurvey, Content, HORIZONTAL_LASER, JointsSurvey, PacketsSurvey, Survey, TopicSurvey,
-    survey,
+    ClockSurvey, Content, HORIZONTAL_LASER, Log, PacketsSurvey, Survey, TopicSurvey, survey,
 };
 use serde_json::json;
 
 use crate::findings::Findings;
-use crate::label_choice::LabelChoice;
 use crate::logs::{self, LogFile};
 use crate::plot;
 use crate::run::progress_bar;
@@ -45,38 +43,32 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     let InspectArgs { log: path, write, plot, track_m, json: as_json } = args;
     let drive = drive(path)?;
     let (logs, lost) = open(&drive)?;
-    let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
-    let progress = progress_bar(n_bytes as u64, format!("inspect {}", drive.name), true);
+    let n_bytes = logs.iter().map(Log::n_bytes).sum();
+    let progress = progress_bar(n_bytes, format!("inspect {}", drive.name), true);
     let mut survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
     progress.finish_and_clear();
+    logs.iter().try_for_each(Log::check_unchanged)?;
     survey.losses.merge(lost);
     let suggestion = Suggestion::of(&survey, *track_m);
     let from = write.as_deref().and_then(Path::parent);
-    let with = |labels: &LabelChoice| {
-        let lidar = suggestion.lidar;
-        lidar.map(|lidar| suggestion.pipeline(lidar, path, from, labels)).transpose()
-    };
-    let coverage_deg = suggestion.coverage_deg();
-    let trial = match with(&LabelChoice::without_keyframes(coverage_deg))? {
-        Some(pipeline) => Trial::run(&drive.name, &logs, &pipeline)?,
+    let pipeline =
+        suggestion.lidar.map(|lidar| suggestion.pipeline(lidar, path, from)).transpose()?;
+    let trial = match &pipeline {
+        Some(pipeline) => Trial::run(&drive.name, &logs, pipeline)?,
         None => Trial::default(),
     };
-    let pipeline = with(&trial.labels(coverage_deg))?;
     let (missing, refused) = (suggestion.missing(), trial.refusal());
-    let mut findings = trial.findings_with(&survey);
-    findings.notes.extend(suggestion.disagreements());
+    let findings = trial.findings_with(&survey);
     if *as_json {
         let all = json!({
             "log": path, "survey": survey, "losses": findings.losses, "notes": findings.notes,
-            "missing": missing, "refused": refused, "too_few_pairs": trial.too_few_pairs(),
-            "pipeline": pipeline,
+            "missing": missing, "refused": refused, "pipeline": pipeline,
         });
         out!("{}", serde_json::to_string_pretty(&all)?);
     } else {
         describe(path, &drive, &survey);
         missing.iter().for_each(|missing| out!("missing: {missing}"));
-        let refusals = refused.iter().cloned().chain(trial.too_few_pairs());
-        refusals.for_each(|refused| out!("refused: {refused}"));
+        refused.iter().for_each(|refused| out!("refused: {refused}"));
         if let Some(pipeline) = pipeline.as_ref().filter(|_| write.is_none()) {
             print_pipeline(pipeline, &suggestion, &trial);
         }
@@ -96,12 +88,9 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
         let pipeline = pipeline.filter(|_| refused.is_none());
         write_new(file, &pipeline.ok_or_else(|| failed("suggest a pipeline for"))?)?;
         let file = file.display();
-        match trial.too_few_pairs() {
-            Some(why) => eprintln!("wrote {file}; {why}"),
-            None if suggestion.has_poses() => {
-                eprintln!("wrote {file}; next: loopboost run {file} --out DIR");
-            }
-            None => eprintln!("wrote {file}; before `loopboost run`, add what is missing"),
+        match suggestion.has_poses() {
+            true => eprintln!("wrote {file}; next: loopboost run {file} --out DIR"),
+            false => eprintln!("wrote {file}; before `loopboost run`, add what is missing"),
         }
     }
     Ok(findings)
@@ -111,7 +100,6 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
 fn print_pipeline(pipeline: &str, suggestion: &Suggestion<'_>, trial: &Trial) {
     let remark = match trial.refusal() {
         Some(_) => "; `loopboost run` refuses it as it is",
-        None if trial.too_few_pairs().is_some() => "; `loopboost run` needs more logs",
         None if suggestion.has_poses() => " (save it with --write FILE.toml)",
         None => "; before `loopboost run`, add what is missing",
     };
@@ -126,10 +114,15 @@ fn drive(path: &Path) -> Result<LogFile> {
         false => logs::find(Path::new(""), &path.to_string_lossy())?,
     };
     match drives.len() {
-        0 => Err(anyhow!(
-            "{} contains no *.mcap file; expected an MCAP file or a folder with the files of one drive",
-            path.display()
-        )),
+        0 => Err(match ::import::identify(path) {
+            Some(known) => {
+                anyhow!("{} is {}, expected MCAP; {}", path.display(), known.format, known.remedy)
+            }
+            None => anyhow!(
+                "{} contains no *.mcap file; expected an MCAP file or a folder with the files of one drive",
+                path.display()
+            ),
+        }),
         1 => Ok(drives.remove(0)),
         n => Err(anyhow!(
             "{} contains {n} drives, expected one; choose one of: {}",
@@ -187,24 +180,10 @@ fn describe(path: &Path, drive: &LogFile, survey: &Survey) {
                     out!("  {} -> {}, {}", of.parent, of.child, counted(of.n_samples, "sample"));
                 }
             }
-            Content::Joints(joints) => print_joints(joints),
             Content::Other => {}
         }
     }
     out!();
-}
-
-fn print_joints(joints: &JointsSurvey) {
-    match (joints.left.join(", "), joints.right.join(", ")) {
-        (left, right) if !left.is_empty() => {
-            out!("  {} joints; wheels: {left} (left), {right} (right)", joints.joints.len());
-        }
-        _ => out!(
-            "  {} joints, no wheels on both sides: {}",
-            joints.joints.len(),
-            joints.joints.join(", ")
-        ),
-    }
 }
 
 fn print_packets(packets: &PacketsSurvey) {

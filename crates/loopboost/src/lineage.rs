@@ -124,7 +124,8 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
     // The key includes the task, because files of two drives may have the same name.
     let mut logs: BTreeMap<(String, String), PathBuf> = BTreeMap::new();
     for log in config.map(Config::log_files).transpose()?.unwrap_or_default() {
-        for path in log.paths {
+        let pose_file = config.map(|config| config.pose_file(&log.name)).transpose()?.flatten();
+        for path in log.paths.into_iter().chain(pose_file) {
             logs.insert((format!("ingest {}", log.name), file_name(&path)), path);
         }
     }

@@ -21,7 +21,7 @@ pub(crate) struct LogFile {
 impl LogFile {
     /// A log of one file.
     pub(crate) fn of(path: PathBuf) -> Self {
-        Self { name: stem(&path).into(), paths: vec![path], missing: Vec::new() }
+        Self { name: log_name(&path).into(), paths: vec![path], missing: Vec::new() }
     }
 
     /// Its location for messages: the file, or the folder of the files.
@@ -68,10 +68,17 @@ pub(crate) fn find(folder: &Path, entry: &str) -> Result<Vec<LogFile>> {
         logs
     };
     if found.is_empty() {
-        return Err(anyhow!(
-            "`ingest.logs`: no *.mcap file in `{entry}` (searched {}; paths are relative to the pipeline file)",
-            path.display()
-        ));
+        return Err(match ::import::identify(&path) {
+            Some(known) => anyhow!(
+                "`ingest.logs`: no *.mcap file in `{entry}`: it is {}; {}",
+                known.format,
+                known.remedy
+            ),
+            None => anyhow!(
+                "`ingest.logs`: no *.mcap file in `{entry}` (searched {}; paths are relative to the pipeline file)",
+                path.display()
+            ),
+        });
     }
     Ok(found)
 }
@@ -89,13 +96,15 @@ pub(crate) fn in_folder(folder: &Path, depth: usize) -> Result<Vec<LogFile>> {
     entries.retain(|path| !file_name(path).starts_with('.'));
     entries.sort();
     let (folders, files): (Vec<_>, Vec<_>) = entries.into_iter().partition(|path| path.is_dir());
-    let is_log = |path: &PathBuf| path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mcap"));
+    // A compressed log is an error that names the command, unless it was decompressed.
+    let is_log =
+        |path: &PathBuf| is_mcap(path) || compressed_mcap(path).is_some_and(|mcap| !mcap.exists());
     let files: Vec<PathBuf> = files.into_iter().filter(is_log).collect();
 
     // The path of `.` or `..` does not contain the name of the folder.
     let name: Arc<str> = file_name(&folder.canonicalize().with_context(failed)?).into();
     let named = |DriveFiles { paths, missing, is_folder }| {
-        let name = if is_folder { name.clone() } else { stem(&paths[0]).into() };
+        let name = if is_folder { name.clone() } else { log_name(&paths[0]).into() };
         LogFile { name, paths, missing }
     };
     let mut drives: Vec<LogFile> = group_files(folder, files)?.into_iter().map(named).collect();
@@ -103,6 +112,23 @@ pub(crate) fn in_folder(folder: &Path, depth: usize) -> Result<Vec<LogFile>> {
         drives.extend(in_folder(&subfolder, depth + 1)?);
     }
     Ok(drives)
+}
+
+fn is_mcap(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mcap"))
+}
+
+/// For a file such as `a.mcap.zstd`, which rosbag2 writes with `--compression-mode file`: `a.mcap`.
+fn compressed_mcap(path: &Path) -> Option<PathBuf> {
+    const ENDINGS: [&str; 6] = ["zstd", "zst", "lz4", "gz", "bz2", "xz"];
+    let ending = path.extension()?.to_str()?.to_ascii_lowercase();
+    let mcap = path.with_extension("");
+    (ENDINGS.contains(&ending.as_str()) && is_mcap(&mcap)).then_some(mcap)
+}
+
+/// The name of a log: that of its file, without `.mcap`.
+fn log_name(path: &Path) -> String {
+    compressed_mcap(path).map_or_else(|| stem(path), |mcap| stem(&mcap))
 }
 
 /// The name of a file without its last extension.

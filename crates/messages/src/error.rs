@@ -41,6 +41,9 @@ pub enum MessageError {
         /// The first two bytes of the header.
         found: u16,
     },
+    /// The recorder compressed the message with Zstandard.
+    #[error("message is compressed with Zstandard, expected plain CDR")]
+    Compressed,
     /// The bytes do not decode as the message type.
     #[error("bytes do not decode as {message}: {detail}")]
     Malformed {
@@ -102,6 +105,7 @@ impl MessageError {
             Self::WrongEncoding { .. } => "wrong_encoding",
             Self::TooShort { .. } => "too_short",
             Self::Encapsulation { .. } => "not_plain_cdr",
+            Self::Compressed => "compressed",
             Self::Malformed { .. } => "malformed",
             Self::CloudLayout { .. } => "contradictory_layout",
             Self::NoField { .. } => "missing_field",

@@ -19,6 +19,9 @@ pub(crate) fn cdr_is_big_endian(message: &'static str, bytes: &[u8]) -> Result<b
     match bytes {
         [0, 0, _, _, ..] => Ok(true),
         [0, 1, _, _, ..] => Ok(false),
+        // The magic number of a Zstandard frame (RFC 8878, section 3.1.1). rosbag2 writes such messages
+        // with the compression mode `message`. No CDR message starts like this.
+        [0x28, 0xB5, 0x2F, 0xFD, ..] => Err(MessageError::Compressed),
         [a, b, _, _, ..] => {
             Err(MessageError::Encapsulation { found: u16::from_be_bytes([*a, *b]) })
         }

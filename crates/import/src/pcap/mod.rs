@@ -14,7 +14,7 @@ mod network;
 mod position;
 
 use std::cell::Cell;
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -65,9 +65,31 @@ pub(crate) struct Capture {
     position_port: u16,
     /// The packets of the current revolution.
     revolution: Vec<(i64, [u8; PACKET_BYTES])>,
+    /// Whether there was a packet on the data port.
+    has_data: bool,
+    /// Datagrams to other ports, by port.
+    other_ports: BTreeMap<u16, OtherPort>,
     ready: VecDeque<Record>,
     ended: bool,
 }
+
+/// Datagrams to a port that is not used.
+#[derive(Debug, Clone, Copy, Default)]
+struct OtherPort {
+    n: u64,
+    /// Number of datagrams that are data packets.
+    n_data: u64,
+}
+
+impl OtherPort {
+    fn add(&mut self, payload: &[u8]) {
+        self.n += 1;
+        self.n_data += u64::from(data_packet(payload).is_some());
+    }
+}
+
+/// At most this many ports are listed.
+const MAX_LISTED_PORTS: usize = 8;
 
 impl Capture {
     pub fn open(
@@ -83,9 +105,31 @@ impl Capture {
             data_port: options.udp_port,
             position_port: options.position_port,
             revolution: Vec::with_capacity(MAX_PACKETS),
+            has_data: false,
+            other_ports: BTreeMap::new(),
             ready: VecDeque::new(),
             ended: false,
         })
+    }
+
+    /// Counts the datagrams to other ports. Data packets there are a loss if the data port has none.
+    fn add_other_ports(&self, losses: &mut Losses) {
+        let is_missed = |port: &OtherPort| !self.has_data && 0 < port.n_data;
+        let mut ports: Vec<_> = self.other_ports.iter().collect();
+        ports.sort_by_key(|(_, port)| std::cmp::Reverse(port.n));
+        for (port, other) in ports.iter().filter(|(_, other)| is_missed(other)) {
+            let (port, used) = (**port, self.data_port);
+            losses.add(self.loss(LossKind::DataPacketsToOtherPort { port, used }), other.n_data);
+        }
+        let others: Vec<_> = ports.iter().filter(|(_, other)| !is_missed(other)).collect();
+        let listed = others.iter().take(MAX_LISTED_PORTS);
+        let mut list: Vec<_> = listed.map(|(port, other)| format!("{port}: {}", other.n)).collect();
+        if MAX_LISTED_PORTS < others.len() {
+            list.push(format!("{} more ports", others.len() - MAX_LISTED_PORTS));
+        }
+        let n = others.iter().map(|(_, other)| other.n).sum();
+        let kind = LossKind::DatagramsToOtherPorts { ports: list.join(", ") };
+        losses.add(self.loss(kind), n);
     }
 
     fn loss(&self, kind: LossKind) -> Loss {
@@ -96,15 +140,15 @@ impl Capture {
     fn push_datagram(&mut self, stamp_ns: i64, datagram: &Datagram, losses: &mut Losses) -> Pushed {
         let is_data = datagram.port == self.data_port;
         if !is_data && datagram.port != self.position_port {
-            losses.add(self.loss(LossKind::DatagramsToOtherPorts), 1);
+            self.other_ports.entry(datagram.port).or_default().add(datagram.payload);
             return Pushed::Done;
         }
         if !is_data && datagram.payload.len() != POSITION_BYTES {
             losses.add(self.loss(LossKind::DatagramsNotPositions), 1);
             return Pushed::Done;
         }
-        let packet: Option<&[u8; PACKET_BYTES]> = datagram.payload.try_into().ok();
-        if is_data && !packet.is_some_and(|packet| BLOCK_FLAGS.contains(&u16_at(packet, 0))) {
+        let packet = data_packet(datagram.payload);
+        if is_data && packet.is_none() {
             losses.add(self.loss(LossKind::DatagramsNotData), 1);
             return Pushed::Done;
         }
@@ -127,7 +171,10 @@ impl Capture {
             return Pushed::Done;
         }
         match packet {
-            Some(packet) if is_data => self.push_data(stamp_ns, packet),
+            Some(packet) if is_data => {
+                self.has_data = true;
+                self.push_data(stamp_ns, packet);
+            }
             _ => self.push_position(stamp_ns, datagram.payload, losses),
         }
         Pushed::Done
@@ -194,6 +241,7 @@ impl Source for Capture {
             let Some(frame) = self.frames.next(losses)? else {
                 self.ended = true;
                 self.finish_revolution();
+                self.add_other_ports(losses);
                 break;
             };
             let Frame { stamp_ns, is_truncated, .. } = frame;
@@ -214,6 +262,12 @@ impl Source for Capture {
         }
         Ok(self.ready.pop_front())
     }
+}
+
+/// The payload of a datagram, if it is a data packet.
+fn data_packet(payload: &[u8]) -> Option<&[u8; PACKET_BYTES]> {
+    let packet: &[u8; PACKET_BYTES] = payload.try_into().ok()?;
+    BLOCK_FLAGS.contains(&u16_at(packet, 0)).then_some(packet)
 }
 
 fn u16_at(packet: &[u8; PACKET_BYTES], at: usize) -> u16 {

@@ -8,8 +8,9 @@ use messages::{Encoding, MessageType, Source, is_plausible_message};
 
 use crate::error::IngestError;
 use crate::mcap::chunk::{self, Buffer};
+use crate::mcap::definitions::Channel;
 use crate::mcap::framing::Piece;
-use crate::mcap::log::{Channel, Contents, Log};
+use crate::mcap::log::{Contents, Log};
 use crate::types::{LIDAR_TYPES, POSE_TYPES};
 
 /// The files of one drive, in order of time, and their structure.
@@ -93,6 +94,24 @@ impl<'a> Drive<'a> {
         by_schema.or_else(|| sniff(&LIDAR_TYPES)).or_else(|| sniff(&POSE_TYPES))
     }
 
+    pub(crate) fn n_files(&self) -> usize {
+        self.files.len()
+    }
+
+    /// The structure of a file.
+    pub(crate) fn contents(&self, file: usize) -> &Contents {
+        &self.files[file].1
+    }
+
+    pub(crate) fn path_of(&self, file: usize) -> PathBuf {
+        self.files[file].0.path().to_owned()
+    }
+
+    /// Whether the file defines a channel.
+    pub(crate) fn defines(&self, file: usize, id: u16) -> bool {
+        self.files[file].1.channels.contains_key(&id)
+    }
+
     /// Damage in the structure of the files.
     pub(crate) fn losses(&self) -> Losses {
         let mut losses = Losses::default();
@@ -145,6 +164,12 @@ impl<'a> Drive<'a> {
             Note::new(NoteKind::NoSchema { read_as }, subject())
         });
         Ok(Topic { name: name.to_owned(), sources, losses, notes: notes.collect() })
+    }
+
+    /// A topic without channels, for data that is not in the drive.
+    pub(crate) fn no_channels(&self, name: &str) -> Topic {
+        let sources = vec![BTreeMap::new(); self.files.len()];
+        Topic { name: name.to_owned(), sources, losses: Losses::default(), notes: Vec::new() }
     }
 
     /// The error for a topic that does not exist, or has only a channel of an unsuitable type.
@@ -216,7 +241,7 @@ impl<'a> Drive<'a> {
             let may_hold =
                 contents.pieces.iter().filter(|piece| piece.may_hold(|id| is_wanted(file, id)));
             pieces.extend(may_hold.map(|piece| FilePiece { file, log, piece, bytes_before }));
-            bytes_before += log.bytes().len() as u64;
+            bytes_before += log.n_bytes();
         }
         pieces
     }

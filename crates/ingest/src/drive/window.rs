@@ -37,12 +37,9 @@ pub(crate) fn windows<'a>(
     windows
 }
 
-/// Releases the memory pages of pieces that have been read, and reports the progress.
-pub(crate) fn forget(pieces: &[FilePiece<'_>], progress: &impl Fn(u64)) {
-    for in_file in pieces.chunk_by(|a, b| a.file == b.file) {
-        if let Some(last) = in_file.last() {
-            last.log.forget_up_to(last.piece.range.end);
-            progress(last.end());
-        }
+/// Reports the progress after pieces have been read.
+pub(crate) fn report_progress(pieces: &[FilePiece<'_>], progress: &impl Fn(u64)) {
+    if let Some(last) = pieces.last() {
+        progress(last.end());
     }
 }

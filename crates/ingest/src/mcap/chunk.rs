@@ -7,12 +7,18 @@ use dataset::{LossKind, Losses};
 use mcap::records::{MessageHeader, Record, op};
 use zstd::zstd_safe::{DCtx, zstd_sys::ZSTD_ErrorCode};
 
+use crate::mcap::bytes::LogBytes;
+use crate::mcap::definitions::Definitions;
 use crate::mcap::framing::{FIRST_PRIVATE_OPCODE, Piece, PieceKind, RECORD_HEADER};
 use crate::mcap::record;
 
 /// Maximum decompressed size of a chunk \[bytes\]. Writers make chunks of about 1 to 4 MB, so a larger
 /// size in the header is an error.
 const MAX_CHUNK_BYTES: u64 = 1 << 30;
+
+/// The largest record of a chunk that is read \[bytes\]. Compressed data is hardly larger than the
+/// decompressed data, and the header is small.
+const MAX_CHUNK_RECORD_BYTES: usize = (MAX_CHUNK_BYTES + MAX_CHUNK_BYTES / 8) as usize;
 
 /// Memory for a chunk is allocated at once up to this size, or up to this multiple of its compressed
 /// size. Beyond that, it is allocated as decompressed bytes arrive. Chunks of packets compress by up
@@ -25,32 +31,54 @@ const TRUSTED_RATIO: usize = 64;
 pub(crate) struct Buffer {
     bytes: Vec<u8>,
     zstd: Option<DCtx<'static>>,
+    /// The bytes of the file.
+    file: Vec<u8>,
 }
 
-/// Calls `visit` with the header and data of each message of a piece. Returns what could not be read.
+/// What a piece contains besides its messages.
+#[derive(Debug, Default)]
+pub(crate) struct Rest {
+    /// What could not be read.
+    pub(crate) losses: Losses,
+    /// The channels that the piece defines.
+    pub(crate) definitions: Definitions,
+}
+
+/// Calls `visit` with the header and data of each message of a piece. Returns the rest.
 pub(crate) fn messages(
-    log: &[u8],
+    log: &LogBytes,
     piece: &Piece,
     buffer: &mut Buffer,
     mut visit: impl FnMut(&MessageHeader, &[u8]),
-) -> Losses {
-    records(log, piece, buffer, |record| {
-        if let Record::Message { header, data } = record {
-            visit(&header, &data);
-        }
-    })
+) -> Rest {
+    let mut definitions = Definitions::default();
+    let losses = records(log, piece, buffer, |record| match record {
+        Record::Message { header, data } => visit(&header, &data),
+        record => definitions.add(record),
+    });
+    Rest { losses, definitions }
 }
 
 /// Calls `visit` with each record of a piece. Returns what could not be read.
 pub(crate) fn records(
-    log: &[u8],
+    log: &LogBytes,
     piece: &Piece,
     buffer: &mut Buffer,
     mut visit: impl FnMut(Record<'_>),
 ) -> Losses {
     let mut losses = Losses::default();
-    let body = &log[piece.range.clone()];
+    let mut range = piece.range.clone();
+    // A longer chunk is refused, whatever its data is.
+    if piece.kind != PieceKind::Records {
+        range.end = range.end.min(range.start.saturating_add(MAX_CHUNK_RECORD_BYTES));
+    }
+    let is_oversized = range.end < piece.range.end;
+    let mut file = std::mem::take(&mut buffer.file);
+    let body = log.get(range, &mut file);
     match piece.kind {
+        PieceKind::Chunk if is_oversized => {
+            losses.add(LossKind::OversizedChunks { max_bytes: MAX_CHUNK_BYTES }, 1);
+        }
         PieceKind::Records => visit_records(body, false, &mut visit, &mut losses),
         PieceKind::Chunk => visit_chunk(body, buffer, &mut visit, &mut losses),
         PieceKind::TruncatedChunk => match truncated_chunk(body) {
@@ -62,6 +90,7 @@ pub(crate) fn records(
             None => {}
         },
     }
+    buffer.file = file;
     losses
 }
 

@@ -5,6 +5,8 @@ use std::ops::Range;
 
 use mcap::records::op;
 
+use crate::mcap::bytes::View;
+
 /// A range of the file that contains messages.
 #[derive(Debug, Clone)]
 pub(crate) struct Piece {
@@ -44,21 +46,11 @@ pub(crate) struct RawRecord {
     pub(crate) body: Range<usize>,
 }
 
-/// The record that starts at `at`. `None` if it does not end before the end of the file.
-pub(crate) fn record_at(bytes: &[u8], at: usize) -> Option<RawRecord> {
-    let opcode = *bytes.get(at)?;
-    let start = at.checked_add(RECORD_HEADER)?;
-    let length = bytes.get(at + 1..start)?.try_into().ok()?;
-    let end = start.checked_add(usize::try_from(u64::from_le_bytes(length)).ok()?)?;
-    (end <= bytes.len()).then_some(RawRecord { opcode, body: start..end })
-}
-
-/// The complete records in a range of the file.
-pub(crate) fn records(bytes: &[u8], range: Range<usize>) -> impl Iterator<Item = RawRecord> {
-    let mut at = range.start;
-    std::iter::from_fn(move || {
-        let record = record_at(&bytes[..range.end], at)?;
-        at = record.body.end;
-        Some(record)
-    })
+/// The record that starts at `at`. `None` if it does not end before `end` or the end of the file.
+pub(crate) fn record_at(view: &mut View<'_>, at: usize, end: usize) -> Option<RawRecord> {
+    let start = at.checked_add(RECORD_HEADER).filter(|&start| start <= end)?;
+    let (&opcode, length) = view.get(at..start)?.split_first()?;
+    let length = u64::from_le_bytes(length.try_into().ok()?);
+    let body_end = start.checked_add(usize::try_from(length).ok()?)?;
+    (body_end <= end.min(view.len())).then_some(RawRecord { opcode, body: start..body_end })
 }

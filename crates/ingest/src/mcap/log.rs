@@ -5,47 +5,28 @@
 //! covers are scanned too, because messages can lie outside chunks. No part of the file is skipped.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::io::SeekFrom;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use dataset::{LossKind, Losses};
 use mcap::records::{Record, op};
-use memmap2::{Advice, Mmap, UncheckedAdvice};
-use messages::Source;
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 
 use crate::error::IngestError;
+use crate::mcap::bytes::{Changed, LogBytes, View};
 use crate::mcap::chunk::{self, Buffer};
+use crate::mcap::definitions::{Channel, Definitions, Redefined};
 use crate::mcap::framing::{
     END_OF_OPCODES, FIRST_PRIVATE_OPCODE, Piece, PieceKind, RECORD_HEADER, RawRecord, record_at,
-    records,
 };
 use crate::mcap::record;
 
-/// A log: a memory-mapped file, or bytes in memory.
+/// A log: a file, or bytes in memory.
 #[derive(Debug)]
 pub struct Log {
     path: PathBuf,
-    bytes: Bytes,
-}
-
-#[derive(Debug)]
-enum Bytes {
-    Mapped(Mmap),
-    Owned(Vec<u8>),
-}
-
-/// A channel of a log.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Channel {
-    /// The topic.
-    pub topic: String,
-    /// The encoding of its messages, such as `cdr` or `ros1`.
-    pub message_encoding: String,
-    /// The name of the schema, empty if the channel has none.
-    pub schema: String,
-    /// Number of messages, if the log contains it.
-    pub n_messages: Option<u64>,
+    bytes: LogBytes,
 }
 
 /// The structure of a log.
@@ -58,6 +39,10 @@ pub struct Contents {
     /// Damage in the structure of the log.
     pub losses: Losses,
     pub(crate) pieces: Vec<Piece>,
+    /// Channels with contradictory definitions.
+    pub(crate) redefined: Vec<Redefined>,
+    /// Number of messages of channels that the file does not define, as far as it is known.
+    pub(crate) n_undefined: u64,
 }
 
 /// Messages outside chunks are read in pieces of about this size \[bytes\].
@@ -75,34 +60,42 @@ const DAMAGED_SUMMARY: UnusableIndex = UnusableIndex::Damaged(LossKind::DamagedS
 const CONTRADICTORY_INDEX: UnusableIndex = UnusableIndex::Damaged(LossKind::ContradictoryIndex);
 
 impl Log {
-    /// Maps a file into memory and checks that it starts with the MCAP magic bytes.
+    /// Opens a file and checks that it starts with the MCAP magic bytes.
+    ///
+    /// The file must not be written while it is read: see [`Self::check_unchanged`].
     pub fn open(path: &Path) -> Result<Self, IngestError> {
         let failed = |source| IngestError::Open { path: path.to_owned(), source };
-        let file = File::open(path).map_err(failed)?;
-        // SAFETY: the map is read-only. If another process truncates the file while it is mapped, the
-        // operating system kills this process. Logs that are still being written are not supported.
-        let bytes = unsafe { Mmap::map(&file) }.map_err(failed)?;
-        // The advice is only a hint, so an error does not matter.
-        let _ = bytes.advise(Advice::Sequential);
-        Self::new(path, Bytes::Mapped(bytes))
+        Self::new(path, LogBytes::open(path).map_err(failed)?)
     }
 
     /// A log that is already in memory, for example one that was downloaded. `path` is its name in
     /// messages.
     pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self, IngestError> {
-        Self::new(path, Bytes::Owned(bytes))
+        Self::new(path, LogBytes::in_memory(bytes))
     }
 
     /// Checks that the bytes start with the MCAP magic bytes.
-    fn new(path: &Path, bytes: Bytes) -> Result<Self, IngestError> {
+    fn new(path: &Path, bytes: LogBytes) -> Result<Self, IngestError> {
         let log = Self { path: path.to_owned(), bytes };
-        let bytes = log.bytes();
-        if !bytes.starts_with(mcap::MAGIC) {
+        let mut buffer = Vec::new();
+        let magic = log.bytes.get(0..mcap::MAGIC.len(), &mut buffer);
+        if magic != mcap::MAGIC {
+            log.check_unchanged()?;
             let path = path.to_owned();
-            let first = bytes.iter().take(8).map(|b| format!("{b:02x}")).collect::<Vec<_>>();
+            let first = magic.iter().map(|b| format!("{b:02x}")).collect::<Vec<_>>();
             return Err(match first.is_empty() {
                 true => IngestError::Empty { path },
-                false => IngestError::NotMcap { path, found: first.join(" ") },
+                false => IngestError::NotMcap {
+                    path,
+                    found: format!(
+                        "starts with {}, expected the magic bytes 89 4d 43 41 50 30 0d 0a",
+                        first.join(" ")
+                    ),
+                    remedy:
+                        "convert the recording to MCAP (`loopboost import`, `ros2 bag convert` \
+                             or `mcap convert`)"
+                            .to_owned(),
+                },
             });
         }
         Ok(log)
@@ -113,21 +106,24 @@ impl Log {
         &self.path
     }
 
-    /// The bytes of the log.
-    pub fn bytes(&self) -> &[u8] {
-        match &self.bytes {
-            Bytes::Mapped(bytes) => bytes,
-            Bytes::Owned(bytes) => bytes,
-        }
+    /// The size of the log \[bytes\].
+    pub fn n_bytes(&self) -> u64 {
+        self.bytes.len() as u64
     }
 
-    /// Tells the operating system that the bytes before `end` need not stay in memory.
-    pub(crate) fn forget_up_to(&self, end: usize) {
-        let Bytes::Mapped(bytes) = &self.bytes else { return };
-        const PAGE: usize = 4096;
-        let whole_pages = end / PAGE * PAGE;
-        // SAFETY: the map is read-only and shared. A page dropped here is read again on access.
-        let _ = unsafe { bytes.unchecked_advise_range(UncheckedAdvice::DontNeed, 0, whole_pages) };
+    /// The bytes of the log.
+    pub(crate) fn bytes(&self) -> &LogBytes {
+        &self.bytes
+    }
+
+    /// Checks that no other program wrote to the file since it was opened, and that it could be read.
+    /// Otherwise, what was read is not the content of one file.
+    pub fn check_unchanged(&self) -> Result<(), IngestError> {
+        let path = || self.path.clone();
+        self.bytes.check_unchanged().map_err(|changed| match changed {
+            Changed::Written(change) => IngestError::Changed { path: path(), change },
+            Changed::Unreadable(source) => IngestError::Open { path: path(), source },
+        })
     }
 
     /// Reads the structure of the log, but not its messages.
@@ -143,16 +139,15 @@ impl Log {
 
     /// Reads the structure from the summary.
     fn indexed_contents(&self) -> Result<Contents, UnusableIndex> {
-        let bytes = self.bytes();
-        if !bytes.ends_with(mcap::MAGIC) {
+        let mut view = View::new(&self.bytes);
+        if !ends_with_magic(&mut view) {
             return Err(UnusableIndex::Missing); // counted as a truncated file
         }
-        if !summary_is_intact(bytes) {
+        if !summary_is_intact(&mut view) {
             return Err(DAMAGED_SUMMARY);
         }
-        let summary = mcap::Summary::read(bytes)
-            .map_err(|_| DAMAGED_SUMMARY)?
-            .ok_or(UnusableIndex::Missing)?;
+        let summary =
+            read_summary(&mut view).map_err(|_| DAMAGED_SUMMARY)?.ok_or(UnusableIndex::Missing)?;
         let counts = summary.stats.as_ref().map(|stats| &stats.channel_message_counts);
         let channels: BTreeMap<u16, Channel> = summary
             .channels
@@ -176,12 +171,14 @@ impl Log {
         }
         let mut indexes: Vec<_> = summary.chunk_indexes.iter().collect();
         indexes.sort_by_key(|index| index.chunk_start_offset);
-        let mut contents =
-            Contents { channels, time_range_ns: time_range_ns(&summary), ..Contents::default() };
+        let n_undefined = counts.map_or(0, |counts| {
+            counts.iter().filter(|(id, _)| !channels.contains_key(id)).map(|(_, n)| n).sum()
+        });
+        let time_range_ns = time_range_ns(&summary);
+        let mut contents = Contents { channels, time_range_ns, n_undefined, ..Contents::default() };
         let mut at = mcap::MAGIC.len();
-        let mut seen = Seen::new(self);
         for index in indexes {
-            let record = indexed_chunk(bytes, index).ok_or(CONTRADICTORY_INDEX)?;
+            let record = indexed_chunk(&mut view, index).ok_or(CONTRADICTORY_INDEX)?;
             let (start, end) = (record.body.start - RECORD_HEADER, record.body.end);
             if start < at {
                 return Err(CONTRADICTORY_INDEX);
@@ -191,7 +188,7 @@ impl Log {
             if !known {
                 return Err(UnusableIndex::Missing);
             }
-            self.scan(at..start, &mut contents);
+            scan(&mut view, at..start, &mut contents);
             contents.pieces.push(Piece {
                 kind: PieceKind::Chunk,
                 range: record.body,
@@ -200,156 +197,109 @@ impl Log {
                     .then(|| index.message_index_offsets.keys().copied().collect()),
             });
             at = end;
-            seen.reach(at);
         }
         // Scan to the end of the data section or the end of the file, whichever comes first.
-        self.scan(at..bytes.len(), &mut contents);
+        scan(&mut view, at..self.bytes.len(), &mut contents);
         Ok(contents)
     }
 
     /// Reads the structure by scanning the whole file and the channels in every chunk.
     fn scanned_contents(&self) -> Contents {
         let mut contents = Contents::default();
-        self.scan(mcap::MAGIC.len()..self.bytes().len(), &mut contents);
-        let mut schemas = BTreeMap::new();
-        let mut channels: BTreeMap<u16, mcap::records::Channel> = BTreeMap::new();
+        let mut view = View::new(&self.bytes);
+        let end = self.bytes.len();
+        scan(&mut view, mcap::MAGIC.len()..end, &mut contents);
+        let mut definitions = Definitions::default();
         let mut counts: BTreeMap<u16, u64> = BTreeMap::new();
-        let mut times = None;
-        let mut define = |record: Record<'_>| match record {
-            Record::Schema { header, .. } => {
-                schemas.entry(header.id).or_insert(header.name);
-            }
-            Record::Channel(channel) => {
-                channels.entry(channel.id).or_insert(channel);
-            }
-            Record::Message { header, .. } => {
-                *counts.entry(header.channel_id).or_default() += 1;
-                let (first, last) = times.unwrap_or((header.log_time, header.log_time));
-                times = Some((first.min(header.log_time), last.max(header.log_time)));
-            }
-            _ => {}
-        };
         // Stop at the end of the data section. The summary repeats these records and can be damaged.
-        let data = records(self.bytes(), mcap::MAGIC.len()..self.bytes().len())
-            .take_while(|record| record.opcode != op::DATA_END);
-        let mut seen = Seen::new(self);
-        for record in data {
-            seen.reach(record.body.end);
+        let mut at = mcap::MAGIC.len();
+        while let Some(record) = record_at(&mut view, at, end)
+            && record.opcode != op::DATA_END
+        {
+            at = record.body.end;
             if matches!(record.opcode, op::SCHEMA | op::CHANNEL) {
-                match record::parse(record.opcode, &self.bytes()[record.body]) {
-                    Some(parsed) => define(parsed),
+                let body = view.get(record.body).unwrap_or_default();
+                match record::parse(record.opcode, body) {
+                    Some(parsed) => definitions.add(parsed),
                     None => contents.losses.add(LossKind::MalformedRecords, 1),
                 }
             }
         }
         let mut buffer = Buffer::default();
-        let mut seen = Seen::new(self);
+        let mut times = None;
         for piece in &contents.pieces {
-            seen.reach(piece.range.end);
             // Losses are counted later, when the messages are read.
-            chunk::records(self.bytes(), piece, &mut buffer, &mut define);
+            chunk::records(&self.bytes, piece, &mut buffer, |record| match record {
+                Record::Message { header, .. } => {
+                    *counts.entry(header.channel_id).or_default() += 1;
+                    let (first, last) = times.unwrap_or((header.log_time, header.log_time));
+                    times = Some((first.min(header.log_time), last.max(header.log_time)));
+                }
+                record => definitions.add(record),
+            });
         }
         contents.time_range_ns = times;
-        contents.channels = channels
-            .into_iter()
-            .map(|(id, channel)| {
-                let channel = Channel {
-                    topic: channel.topic,
-                    message_encoding: channel.message_encoding,
-                    schema: schemas.get(&channel.schema_id).cloned().unwrap_or_default(),
-                    n_messages: Some(counts.get(&id).copied().unwrap_or(0)),
-                };
-                (id, channel)
-            })
-            .collect();
+        contents.channels = definitions.channels;
+        contents.redefined = definitions.redefined;
+        for (id, channel) in &mut contents.channels {
+            channel.n_messages = Some(counts.remove(id).unwrap_or(0));
+        }
+        contents.n_undefined = counts.into_values().sum();
         contents
     }
+}
 
-    /// Adds the messages and chunks in a range of top-level records.
-    fn scan(&self, range: Range<usize>, contents: &mut Contents) {
-        let to_end_of_file = range.end == self.bytes().len();
-        let mut at = range.start;
-        let mut ended = false;
-        // Adjacent messages outside chunks form one piece, up to a maximum size.
-        let mut loose: Option<Range<usize>> = None;
-        let piece = |kind, range| Piece { kind, range, channels: None };
-        let mut seen = Seen::new(self);
-        for record in records(self.bytes(), range.clone()) {
-            let start = std::mem::replace(&mut at, record.body.end);
-            seen.reach(at);
-            match record.opcode {
-                op::MESSAGE => {
-                    let range = loose.get_or_insert(start..start);
-                    range.end = at;
-                    if range.len() < LOOSE_PIECE_BYTES {
-                        continue;
-                    }
-                }
-                op::CHUNK | op::DATA_END | op::FOOTER => {}
-                0 | END_OF_OPCODES..FIRST_PRIVATE_OPCODE => {
-                    contents.losses.add(LossKind::UnknownRecords, 1);
+/// Adds the messages and chunks in a range of top-level records.
+fn scan(view: &mut View<'_>, range: Range<usize>, contents: &mut Contents) {
+    let to_end_of_file = range.end == view.len();
+    let mut at = range.start;
+    let mut ended = false;
+    // Adjacent messages outside chunks form one piece, up to a maximum size.
+    let mut loose: Option<Range<usize>> = None;
+    let piece = |kind, range| Piece { kind, range, channels: None };
+    while let Some(record) = record_at(view, at, range.end) {
+        let start = std::mem::replace(&mut at, record.body.end);
+        match record.opcode {
+            op::MESSAGE => {
+                let range = loose.get_or_insert(start..start);
+                range.end = at;
+                if range.len() < LOOSE_PIECE_BYTES {
                     continue;
                 }
-                _ => continue,
             }
-            contents.pieces.extend(loose.take().map(|range| piece(PieceKind::Records, range)));
-            match record.opcode {
-                op::CHUNK => contents.pieces.push(piece(PieceKind::Chunk, record.body)),
-                op::DATA_END | op::FOOTER => {
-                    ended = true;
-                    break;
-                }
-                _ => {}
+            op::CHUNK | op::DATA_END | op::FOOTER => {}
+            0 | END_OF_OPCODES..FIRST_PRIVATE_OPCODE => {
+                contents.losses.add(LossKind::UnknownRecords, 1);
+                continue;
             }
+            _ => continue,
         }
-        contents.pieces.extend(loose.map(|range| piece(PieceKind::Records, range)));
-        if !to_end_of_file && at != range.end {
-            contents.losses.add(LossKind::BytesBetweenChunks, 1);
-        }
-        if to_end_of_file && !(ended && self.bytes().ends_with(mcap::MAGIC)) {
-            contents.losses.add(LossKind::TruncatedFile, 1);
-            if !ended && self.bytes().get(at) == Some(&op::CHUNK) {
-                let range = at..self.bytes().len();
-                contents.pieces.push(piece(PieceKind::TruncatedChunk, range));
+        contents.pieces.extend(loose.take().map(|range| piece(PieceKind::Records, range)));
+        match record.opcode {
+            op::CHUNK => contents.pieces.push(piece(PieceKind::Chunk, record.body)),
+            op::DATA_END | op::FOOTER => {
+                ended = true;
+                break;
             }
+            _ => {}
+        }
+    }
+    contents.pieces.extend(loose.map(|range| piece(PieceKind::Records, range)));
+    if !to_end_of_file && at != range.end {
+        contents.losses.add(LossKind::BytesBetweenChunks, 1);
+    }
+    if to_end_of_file && !(ended && ends_with_magic(view)) {
+        contents.losses.add(LossKind::TruncatedFile, 1);
+        if !ended && view.get(at..at.saturating_add(1)) == Some(&[op::CHUNK]) {
+            contents.pieces.push(piece(PieceKind::TruncatedChunk, at..view.len()));
         }
     }
 }
 
-/// Releases the pages of the file while its structure is read. Reading one byte of a chunk loads 16
-/// pages around it, which adds up for many chunks.
-struct Seen<'a> {
-    log: &'a Log,
-    forgotten: usize,
-}
-
-impl<'a> Seen<'a> {
-    /// Pages are released whenever this many bytes have been passed.
-    const INTERVAL: usize = 64 << 20;
-
-    fn new(log: &'a Log) -> Self {
-        Self { log, forgotten: 0 }
-    }
-
-    fn reach(&mut self, end: usize) {
-        if self.forgotten + Self::INTERVAL < end {
-            self.log.forget_up_to(end);
-            self.forgotten = end;
-        }
-    }
-}
-
-impl Channel {
-    /// The type and encoding of its messages, if both are known.
-    pub fn source(&self) -> Option<Source> {
-        Source::new(&self.schema, &self.message_encoding)
-    }
-
-    /// Schema and encoding, for messages to the user.
-    pub fn describe(&self) -> String {
-        let schema = if self.schema.is_empty() { "no schema" } else { &self.schema };
-        format!("{schema}, {}", self.message_encoding)
-    }
+fn ends_with_magic(view: &mut View<'_>) -> bool {
+    let end = view.len();
+    let start = end.saturating_sub(mcap::MAGIC.len());
+    view.get(start..end) == Some(mcap::MAGIC)
 }
 
 /// Time of the first and the last message, from the statistics or else the chunk indexes.
@@ -365,31 +315,79 @@ fn time_range_ns(summary: &mcap::Summary) -> Option<(u64, u64)> {
     }
 }
 
+/// Reads the summary, if there is one.
+fn read_summary(view: &mut View<'_>) -> mcap::McapResult<Option<mcap::Summary>> {
+    let n_bytes = view.len() as u64;
+    let mut reader =
+        SummaryReader::new_with_options(SummaryReaderOptions::default().with_file_size(n_bytes));
+    let mut at = 0_usize;
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::ReadRequest(n) => {
+                let end = at.saturating_add(n).min(view.len());
+                let bytes = view.get(at..end).unwrap_or_default();
+                reader.insert(bytes.len()).copy_from_slice(bytes);
+                reader.notify_read(bytes.len());
+                at = end;
+            }
+            SummaryReadEvent::SeekRequest(to) => {
+                let to = match to {
+                    SeekFrom::Start(to) => Some(to),
+                    SeekFrom::End(by) => n_bytes.checked_add_signed(by),
+                    SeekFrom::Current(by) => (at as u64).checked_add_signed(by),
+                };
+                at = to.and_then(|to| usize::try_from(to).ok()).ok_or(mcap::McapError::BadIndex)?;
+                reader.notify_seeked(at as u64);
+            }
+        }
+    }
+    Ok(reader.finish())
+}
+
 /// Whether the CRC of the summary matches, if there is one. It covers all bytes from the start of the
 /// summary to the CRC itself (MCAP specification, "Footer"). A flipped bit in an index could hide
 /// chunks.
-fn summary_is_intact(bytes: &[u8]) -> bool {
-    let Ok(footer) = mcap::read::footer(bytes) else { return false };
-    let end = bytes.len() - mcap::MAGIC.len() - size_of::<u32>();
+fn summary_is_intact(view: &mut View<'_>) -> bool {
+    /// Footer: opcode, length, start of the summary, start of the offsets, CRC.
+    const FOOTER_BYTES: usize = RECORD_HEADER + 20;
+    let Some(end) = view.len().checked_sub(mcap::MAGIC.len()) else { return false };
+    let footer = end.checked_sub(FOOTER_BYTES).and_then(|at| record_at(view, at, end));
+    let Some(footer) = footer.filter(|r| r.opcode == op::FOOTER && r.body.end == end) else {
+        return false;
+    };
+    let Some(Record::Footer(footer)) =
+        view.get(footer.body).and_then(|body| record::parse(op::FOOTER, body))
+    else {
+        return false;
+    };
+    let end = end - size_of::<u32>();
     match usize::try_from(footer.summary_start) {
         Ok(0) => true,
         Ok(start) if start <= end => {
-            let is_intact = footer.summary_crc == 0
-                || footer.summary_crc == crc32fast::hash(&bytes[start..end]);
-            // Private records are allowed and skipped.
-            let is_sound = |raw: RawRecord| {
-                FIRST_PRIVATE_OPCODE <= raw.opcode || record::is_sound(raw.opcode, &bytes[raw.body])
-            };
-            is_intact && records(bytes, start..bytes.len()).all(is_sound)
+            let crc = |bytes: &[u8]| footer.summary_crc == crc32fast::hash(bytes);
+            let is_intact = footer.summary_crc == 0 || view.get(start..end).is_some_and(crc);
+            is_intact && has_sound_records(view, start)
         }
         _ => false,
     }
 }
 
+/// Whether all records from a position on can be parsed. Private records are allowed and skipped.
+fn has_sound_records(view: &mut View<'_>, mut at: usize) -> bool {
+    while let Some(record) = record_at(view, at, view.len()) {
+        at = record.body.end;
+        let is_sound = |body: &[u8]| record::is_sound(record.opcode, body);
+        if record.opcode < FIRST_PRIVATE_OPCODE && !view.get(record.body).is_some_and(is_sound) {
+            return false;
+        }
+    }
+    true
+}
+
 /// The chunk that an index points to. `None` if something else is there.
-fn indexed_chunk(bytes: &[u8], index: &mcap::records::ChunkIndex) -> Option<RawRecord> {
+fn indexed_chunk(view: &mut View<'_>, index: &mcap::records::ChunkIndex) -> Option<RawRecord> {
     let start = usize::try_from(index.chunk_start_offset).ok()?;
     let end = start.checked_add(usize::try_from(index.chunk_length).ok()?)?;
-    let record = record_at(bytes, start)?;
+    let record = record_at(view, start, end)?;
     (record.opcode == op::CHUNK && record.body.end == end).then_some(record)
 }

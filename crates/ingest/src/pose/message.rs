@@ -29,6 +29,9 @@ pub(crate) fn undecodable(source: Source, error: &MessageError) -> LossKind {
         MessageError::NoField { field, found } => {
             LossKind::CloudsWithoutField { field: field.clone(), fields: found.join(", ") }
         }
+        MessageError::Compressed => {
+            LossKind::CompressedMessages { message_type: source.message_type.name().to_owned() }
+        }
         error => LossKind::UndecodableMessages {
             message_type: source.message_type.name().to_owned(),
             fault: error.code().to_owned(),
@@ -39,7 +42,7 @@ pub(crate) fn undecodable(source: Source, error: &MessageError) -> LossKind {
 /// The covariance of x, y and heading (xx, xy, xh, yy, yh, hh), selected from the (6, 6) covariance
 /// of (x, y, z, rotation about x, y, z), row by row. It is `None` if the covariance is not known,
 /// which messages express by zeros or a negative variance.
-fn planar_covariance(full: &[f64; 36]) -> Option<[f64; 6]> {
+pub(crate) fn planar_covariance(full: &[f64; 36]) -> Option<[f64; 6]> {
     let planar = [full[0], full[1], full[5], full[7], full[11], full[35]];
     let is_known = planar.iter().all(|v| v.is_finite())
         && [planar[0], planar[3], planar[5]].iter().all(|variance| 0.0 < *variance);

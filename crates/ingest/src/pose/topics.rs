@@ -1,7 +1,12 @@
 //! The topics that poses are computed from.
 
+use std::path::PathBuf;
+
+use dataset::{Loss, Losses, StampedPose, Subject};
+
 use crate::drive::topic::{Drive, Topic};
 use crate::error::IngestError;
+use crate::pose::file;
 use crate::pose_options::PoseOptions;
 use crate::types::{FRAME_TYPES, IMU_TYPES, POSE_TYPES, WHEEL_TYPES};
 
@@ -9,6 +14,8 @@ use crate::types::{FRAME_TYPES, IMU_TYPES, POSE_TYPES, WHEEL_TYPES};
 pub(crate) enum PoseTopics {
     /// A topic with poses.
     Poses(Topic),
+    /// A file with poses. It takes the place of the topic in messages.
+    File(Topic, Vec<StampedPose>),
     /// Topics with transforms, at least one.
     Frames(Vec<Topic>),
     /// Topics with wheel and IMU messages.
@@ -21,15 +28,35 @@ impl PoseTopics {
         if let Some(frames) = &options.frames {
             return Self::find_frames(drive, &frames.topics);
         }
+        if let Some(file) = &options.file {
+            return Self::read_file(drive, file, options);
+        }
         let Some(wheels) = &options.wheels else {
             let topic = options.topic.as_deref().unwrap_or_default();
             return Ok(Self::Poses(drive.topic(topic, "ingest.pose.topic", &POSE_TYPES)?));
         };
         let imu = options.imu.as_ref();
         Ok(Self::Wheels {
-            wheels: drive.topic(&wheels.topic, "ingest.pose.wheels", &WHEEL_TYPES)?,
+            wheels: drive.topic(wheels, "ingest.pose.wheels", &WHEEL_TYPES)?,
             imu: imu.map(|imu| drive.topic(imu, "ingest.pose.imu", &IMU_TYPES)).transpose()?,
         })
+    }
+
+    fn read_file(
+        drive: &Drive<'_>,
+        file: &str,
+        options: &PoseOptions,
+    ) -> Result<Self, IngestError> {
+        let mut losses = Losses::default();
+        let path = PathBuf::from(file);
+        let poses = file::read(&path, options.file_time_unit, &mut losses)
+            .map_err(|source| IngestError::PoseFile { path: path.clone(), source })?;
+        let mut topic = drive.no_channels(file);
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        for (loss, n) in losses.iter() {
+            topic.losses.add(Loss::new(loss.kind.clone(), Subject::file(name.clone())), n);
+        }
+        Ok(Self::File(topic, poses))
     }
 
     /// One of the topics is enough: a log may have no static transforms.
@@ -52,7 +79,7 @@ impl PoseTopics {
     /// All topics.
     pub(crate) fn all(&self) -> Vec<&Topic> {
         match self {
-            Self::Poses(topic) => vec![topic],
+            Self::Poses(topic) | Self::File(topic, _) => vec![topic],
             Self::Frames(topics) => topics.iter().collect(),
             Self::Wheels { wheels, imu } => [wheels].into_iter().chain(imu).collect(),
         }
@@ -61,7 +88,7 @@ impl PoseTopics {
     /// The topic without which there are no poses.
     pub(crate) fn main(&self) -> &Topic {
         match self {
-            Self::Poses(topic) | Self::Wheels { wheels: topic, .. } => topic,
+            Self::Poses(topic) | Self::File(topic, _) | Self::Wheels { wheels: topic, .. } => topic,
             Self::Frames(topics) => &topics[0],
         }
     }

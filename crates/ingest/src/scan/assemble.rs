@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use dataset::{LossKind, Losses, Note, NoteKind, Pose2, Scan, Subject, Trajectory};
+use dataset::{LossKind, Losses, Note, NoteKind, Pose2, Scan, StampedPose, Subject, Trajectory};
 use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
@@ -140,6 +140,11 @@ impl Assembler {
         scans
     }
 
+    /// Adds poses that are not in the log, before its first piece.
+    pub(crate) fn add_poses(&mut self, poses: Vec<StampedPose>) {
+        self.add_motion(MotionReadings { poses, ..MotionReadings::default() });
+    }
+
     /// Adds the motion of the next piece.
     fn add_motion(&mut self, mut next: MotionReadings) {
         self.motion.take_transforms(&mut next);
@@ -175,6 +180,11 @@ impl Assembler {
     /// Whether the options use the device clock although it stands still.
     pub(crate) fn lacks_clock(&self) -> bool {
         self.options.lidar.clock != Clock::Host && self.packets.model.has_still_clock()
+    }
+
+    /// Adds losses that concern the drive as a whole.
+    pub(crate) fn add_losses(&mut self, losses: Losses) {
+        self.losses.merge(losses);
     }
 
     /// Compares the number of messages read with the statistics in the files. Messages in a damaged

@@ -4,9 +4,10 @@ use dataset::{Loss, LossKind, Losses, Subject};
 use messages::Source;
 
 use crate::deskew::timed_scan::TimedScan;
-use crate::drive::topic::{FilePiece, Topic};
+use crate::drive::structure::PieceStructure;
+use crate::drive::topic::{Drive, FilePiece, Topic};
 use crate::drive::window::Part;
-use crate::mcap::chunk::{self, Buffer};
+use crate::mcap::chunk::{self, Buffer, Rest};
 use crate::observe::topic::TopicPiece;
 use crate::options::Options;
 use crate::pose::message::undecodable;
@@ -21,6 +22,7 @@ use crate::velodyne::packet::Packets;
 
 /// Decodes pieces. Several threads can use it at once.
 pub(crate) struct Reader<'a> {
+    pub(crate) drive: &'a Drive<'a>,
     pub(crate) lidar: &'a Topic,
     /// Topics of poses, or of the readings that poses are made from.
     pub(crate) pose_topics: &'a [&'a Topic],
@@ -48,6 +50,7 @@ pub(crate) struct Decoded {
     pub(crate) n_messages: u64,
     /// Whether a part of the piece could not be read.
     pub(crate) is_damaged: bool,
+    pub(crate) structure: PieceStructure,
     pub(crate) losses: Losses,
 }
 
@@ -84,8 +87,10 @@ impl Reader<'_> {
         let FilePiece { file, log, piece, .. } = *from;
         let mut decoded = Decoded { file, ..Decoded::default() };
         decoded.poses.resize_with(self.pose_topics.len(), TopicPiece::default);
-        let piece_losses = chunk::messages(log.bytes(), piece, buffer, |header, data| {
+        let mut n_undefined = 0;
+        let rest = chunk::messages(log.bytes(), piece, buffer, |header, data| {
             let channel = header.channel_id;
+            n_undefined += u64::from(!self.drive.defines(file, channel));
             if let Some(source) = self.lidar.source(file, channel)
                 && part != Part::Motion
             {
@@ -115,10 +120,12 @@ impl Reader<'_> {
                 }
             }
         });
-        decoded.is_damaged = !piece_losses.is_empty();
+        let Rest { losses, definitions } = rest;
+        decoded.is_damaged = !losses.is_empty();
         // A piece with lidar messages is read twice. Count its losses only once.
         if part != Part::Motion || !self.lidar.may_be_in(from) {
-            decoded.losses.merge(piece_losses);
+            decoded.losses.merge(losses);
+            decoded.structure = PieceStructure::new(self.drive, file, n_undefined, definitions);
         }
         decoded
     }

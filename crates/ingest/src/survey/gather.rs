@@ -1,27 +1,28 @@
 //! Surveys a drive: reads all messages and summarizes each topic.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use dataset::{Loss, LossKind, Losses, StampedPose, Subject, Trajectory};
 use messages::hdl32e::{self, BLOCKS, HORIZONTAL_LASER, HOUR_US, LASERS, Packet, ReturnMode};
 use messages::{
-    FrameIds, MessageType, NavSatFix, Source, read_frame_ids, read_joint_state, read_laser_scan,
-    read_nav_sat_fix, read_transforms, read_velodyne,
+    MessageType, NavSatFix, Source, read_laser_scan, read_nav_sat_fix, read_transforms,
+    read_velodyne,
 };
 use rayon::prelude::*;
 
+use crate::drive::structure::{PieceStructure, StructureCheck};
 use crate::drive::topic::{Drive, FilePiece};
-use crate::drive::window::{PIECES_PER_THREAD, forget};
+use crate::drive::window::{PIECES_PER_THREAD, report_progress};
 use crate::mcap::chunk::{self, Buffer};
-use crate::mcap::log::{Channel, Log};
+use crate::mcap::definitions::Channel;
+use crate::mcap::log::Log;
 use crate::options::LidarOptions;
 use crate::pose::gnss;
-use crate::pose::joints::wheels_of_topic;
 use crate::pose::message::{stamped_pose, undecodable};
 use crate::scan::cloud::Rings;
 use crate::survey::report::{
-    ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey,
-    ScansSurvey, Survey, TopicSurvey, TransformSurvey,
+    ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,
+    TopicSurvey, TransformSurvey,
 };
 use crate::types::{FRAME_TYPES, LIDAR_TYPES, POSE_TYPES};
 use crate::velodyne::device_clock::device_gap_us;
@@ -36,8 +37,9 @@ use crate::velodyne::split::{RevolutionSplitter, SplitSummary};
 /// `progress` is called with the number of bytes read so far.
 pub fn survey(logs: &[&Log], progress: impl Fn(u64)) -> Survey {
     let drive = Drive::new(logs);
+    let mut structure = StructureCheck::new(&drive);
     let mut survey = Survey {
-        n_bytes: logs.iter().map(|log| log.bytes().len() as u64).sum(),
+        n_bytes: logs.iter().map(|log| log.n_bytes()).sum(),
         time_range_ns: drive.time_range_ns(),
         losses: drive.losses(),
         ..Survey::default()
@@ -50,18 +52,20 @@ pub fn survey(logs: &[&Log], progress: impl Fn(u64)) -> Survey {
         .collect();
     let pieces = drive.pieces(|_, _| true);
     for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
-        let found: Vec<(BTreeMap<TopicKey, Found>, Losses)> = window
+        let found: Vec<(BTreeMap<TopicKey, Found>, Losses, PieceStructure)> = window
             .par_iter()
-            .map_init(Buffer::default, |buffer, piece| read(piece, &keys, buffer))
+            .map_init(Buffer::default, |buffer, piece| read(&drive, piece, &keys, buffer))
             .collect();
-        for (found, losses) in found {
+        for (found, losses, shown) in found {
             survey.losses.merge(losses);
+            structure.add(&drive, shown);
             for (key, found) in found {
                 topics.entry(key).or_default().add(found);
             }
         }
-        forget(window, &progress);
+        report_progress(window, &progress);
     }
+    survey.losses.merge(structure.losses());
     survey.topics = topics
         .into_iter()
         .map(|(key, gathered)| gathered.finish(key, &mut survey.losses))
@@ -93,48 +97,23 @@ struct Found {
     foreign: BTreeMap<&'static str, u64>,
     poses: Vec<StampedPose>,
     fixes: Vec<NavSatFix>,
-    /// The names in each kind of `JointState` message.
-    joints: BTreeSet<Vec<String>>,
-    /// The transforms, by parent and child.
-    transforms: BTreeMap<(String, String), FoundTransform>,
-    /// Number of messages by frame and child frame.
-    frames: BTreeMap<(String, String), u64>,
+    /// Number of samples of each transform, by parent and child.
+    transforms: BTreeMap<(String, String), u64>,
     scans: Option<ScansSurvey>,
     rings: Rings,
     losses: Losses,
 }
 
-/// The samples of one transform.
-#[derive(Clone, Copy)]
-struct FoundTransform {
-    n_samples: u64,
-    first: Value,
-    is_constant: bool,
-}
-
-/// Translation and rotation.
-type Value = ([f64; 3], [f64; 4]);
-
-impl FoundTransform {
-    fn new(first: Value) -> Self {
-        Self { n_samples: 0, first, is_constant: true }
-    }
-
-    fn add(&mut self, other: Self) {
-        self.n_samples += other.n_samples;
-        self.is_constant &= other.is_constant && self.first == other.first;
-    }
-}
-
 /// Reads the messages of a piece.
 fn read(
+    drive: &Drive<'_>,
     piece: &FilePiece<'_>,
     keys: &Keys,
     buffer: &mut Buffer,
-) -> (BTreeMap<TopicKey, Found>, Losses) {
+) -> (BTreeMap<TopicKey, Found>, Losses, PieceStructure) {
     let mut found: BTreeMap<TopicKey, Found> = BTreeMap::new();
     let mut n_undefined = 0;
-    let mut losses = chunk::messages(piece.log.bytes(), piece.piece, buffer, |header, data| {
+    let rest = chunk::messages(piece.log.bytes(), piece.piece, buffer, |header, data| {
         let time = header.log_time;
         match keys.get(&(piece.file, header.channel_id)) {
             Some((key, source)) => match found.get_mut(key) {
@@ -144,8 +123,8 @@ fn read(
             None => n_undefined += 1,
         }
     });
-    losses.add(LossKind::UndefinedChannel, n_undefined);
-    (found, losses)
+    let structure = PieceStructure::new(drive, piece.file, n_undefined, rest.definitions);
+    (found, rest.losses, structure)
 }
 
 impl Found {
@@ -155,28 +134,8 @@ impl Found {
         self.log_times = Some((first.min(time), last.max(time)));
         let Some(source) = source else { return };
         self.source = Some(source);
-        self.add_frames(source, data);
         if let Err(kind) = self.add_content(source, data) {
             self.losses.add(Loss::new(kind, Subject::topic(topic)), 1);
-        }
-    }
-
-    /// Counts the message in its frame. A message that cannot be decoded is counted with its content.
-    fn add_frames(&mut self, source: Source, data: &[u8]) {
-        let Ok(Some(FrameIds { frame_id, child_frame_id })) = read_frame_ids(source, data) else {
-            return;
-        };
-        // Most messages of a topic are in the same frame: it is looked up without allocation.
-        let known = self
-            .frames
-            .iter_mut()
-            .find(|((frame, child), _)| *frame == frame_id && *child == child_frame_id);
-        match known {
-            Some((_, n)) => *n += 1,
-            None => {
-                let names = (frame_id.into_owned(), child_frame_id.into_owned());
-                self.frames.insert(names, 1);
-            }
         }
     }
 
@@ -196,16 +155,7 @@ impl Found {
             MessageType::Tf | MessageType::FoxgloveFrameTransform => {
                 for transform in read_transforms(source, data).map_err(undecodable)? {
                     let names = (transform.parent, transform.child);
-                    let value = (transform.translation, transform.rotation);
-                    let found = FoundTransform { n_samples: 1, ..FoundTransform::new(value) };
-                    let of_names = self.transforms.entry(names);
-                    of_names.or_insert(FoundTransform::new(value)).add(found);
-                }
-            }
-            MessageType::JointState => {
-                let names = read_joint_state(source, data).map_err(undecodable)?.names;
-                if !self.joints.contains(&names) && self.joints.len() < MAX_JOINT_KINDS {
-                    self.joints.insert(names);
+                    *self.transforms.entry(names).or_default() += 1;
                 }
             }
             MessageType::NavSatFix => {
@@ -272,12 +222,8 @@ impl Found {
         }
         self.poses.extend(other.poses);
         self.fixes.extend(other.fixes);
-        for (names, found) in other.transforms {
-            let of_names = self.transforms.entry(names);
-            of_names.or_insert(FoundTransform::new(found.first)).add(found);
-        }
-        for (names, n) in other.frames {
-            *self.frames.entry(names).or_default() += n;
+        for (names, n) in other.transforms {
+            *self.transforms.entry(names).or_default() += n;
         }
         if let Some(scans) = other.scans {
             let merged = self.scans.get_or_insert_with(|| scans.clone());
@@ -285,7 +231,6 @@ impl Found {
                 (merged.n_beams.0.min(scans.n_beams.0), merged.n_beams.1.max(scans.n_beams.1));
             merged.coverage_deg = merged.coverage_deg.max(scans.coverage_deg);
         }
-        self.joints.extend(other.joints);
         self.rings.merge(other.rings);
         self.losses.merge(other.losses);
     }
@@ -316,13 +261,7 @@ impl Gathered {
         let message_type = source.map(|source| source.message_type);
         let content = self.content(message_type);
         losses.merge(self.found.losses.on_topic(&topic));
-        let frame = |((frame_id, child_frame_id), n_messages)| FrameSurvey {
-            frame_id,
-            child_frame_id,
-            n_messages,
-        };
-        let frames = self.found.frames.into_iter().map(frame).collect();
-        TopicSurvey { topic, schema, encoding, n_messages, rate_hz, frames, content }
+        TopicSurvey { topic, schema, encoding, n_messages, rate_hz, content }
     }
 
     /// Summarizes the messages. Takes the poses, transforms and scans.
@@ -345,29 +284,18 @@ impl Gathered {
                 }
                 let (trajectory, n_duplicates) = Trajectory::new(std::mem::take(&mut found.poses));
                 found.losses.add(LossKind::DuplicatePoseStamps, n_duplicates as u64);
-                Content::Poses(poses_survey(trajectory))
+                Content::Poses(poses_survey(&trajectory))
             }
             Some(tf) if FRAME_TYPES.contains(&tf) => {
                 let transforms = std::mem::take(&mut found.transforms).into_iter();
-                let survey = |((parent, child), found): (_, FoundTransform)| TransformSurvey {
-                    parent,
-                    child,
-                    n_samples: found.n_samples,
-                    is_constant: found.is_constant,
-                };
+                let survey =
+                    |((parent, child), n_samples)| TransformSurvey { parent, child, n_samples };
                 Content::Transforms(transforms.map(survey).collect())
-            }
-            Some(MessageType::JointState) => {
-                let [joints, left, right] = wheels_of_topic(&found.joints);
-                Content::Joints(JointsSurvey { joints, left, right })
             }
             _ => Content::Other,
         }
     }
 }
-
-/// Different kinds of `JointState` messages of a topic. More than this are not collected.
-const MAX_JOINT_KINDS: usize = 100;
 
 /// A device clock with a smaller offset agrees with the host clock \[s\]. GPS receivers and hosts with
 /// NTP agree better. A free-running clock is that close by chance once in 900 times.
@@ -498,7 +426,7 @@ fn packets_survey(packets: Option<PacketCounts>, found: &mut Found) -> Option<Pa
     })
 }
 
-fn poses_survey(trajectory: Trajectory) -> PosesSurvey {
+fn poses_survey(trajectory: &Trajectory) -> PosesSurvey {
     let poses = trajectory.poses();
     let extent = |along: fn(&StampedPose) -> f64| {
         let (least, most) = poses
@@ -517,6 +445,5 @@ fn poses_survey(trajectory: Trajectory) -> PosesSurvey {
             .map(|(a, b)| b.stamp_ns.saturating_sub(a.stamp_ns) as f64 * 1e-9)
             .fold(0.0, f64::max),
         extent_m: (extent(|p| p.pose.x_m), extent(|p| p.pose.y_m)),
-        trajectory,
     }
 }

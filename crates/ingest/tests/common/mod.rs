@@ -241,7 +241,7 @@ pub fn ingest_files(
 }
 
 pub fn ingest_logs(logs: &[Log], options: &Options) -> Result<(Vec<Scan>, Ingested), IngestError> {
-    let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
+    let n_bytes: u64 = logs.iter().map(Log::n_bytes).sum();
     let mut scans = Vec::new();
     let ingested = ingest::ingest(
         &logs.iter().collect::<Vec<_>>(),
@@ -250,7 +250,7 @@ pub fn ingest_logs(logs: &[Log], options: &Options) -> Result<(Vec<Scan>, Ingest
             scans.extend(batch);
             Ok::<_, IngestError>(())
         },
-        |position| assert!(position <= n_bytes as u64),
+        |position| assert!(position <= n_bytes),
     )?;
     assert_eq!(scans.len(), ingested.n_scans);
     Ok((scans, ingested))

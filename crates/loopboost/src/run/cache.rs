@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::{Provenance, TableError, digest_file, read_provenance};
+use ingest::{FileState, IngestError};
 
 use super::manifest::{Record, changes};
 use super::{Run, Task};
@@ -84,12 +85,29 @@ impl Run {
             .try_for_each(|path| self.check_fresh(&path))
     }
 
+    /// Checks that a log is still the file whose digest was computed.
+    pub(crate) fn check_unchanged(&self, path: &Path) -> Result<(), IngestError> {
+        let before = self.states.borrow().get(path).copied().flatten();
+        let change = match (before, FileState::read(path)) {
+            (Some(before), Ok(now)) => before.change(&now),
+            (Some(_), Err(error)) => Some(format!("it can no longer be read ({error})")),
+            (None, _) => None,
+        };
+        match change {
+            Some(change) => Err(IngestError::Changed { path: path.to_owned(), change }),
+            None => Ok(()),
+        }
+    }
+
     /// BLAKE3 digest of a file. Each file is read once in a run.
     pub(crate) fn digest(&self, path: &Path) -> Result<String> {
         if let Some(known) = self.digests.borrow().get(path) {
             return Ok(known.clone());
         }
+        // The state comes first: a file that is written while its digest is computed has changed.
+        let state = FileState::read(path).ok();
         let digest = digest_file(path).map_err(|error| explain_missing_log(path, error))?;
+        self.states.borrow_mut().insert(path.to_owned(), state);
         self.digests.borrow_mut().insert(path.to_owned(), digest.clone());
         Ok(digest)
     }

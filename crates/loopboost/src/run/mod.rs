@@ -15,6 +15,7 @@ use std::sync::Arc;
 use anyhow::{Result, anyhow};
 use dataset::tables::Provenance;
 use dataset::{Loss, LossKind, Losses, Note, Subject};
+use ingest::FileState;
 
 use crate::config::{Config, usage};
 use crate::findings::Findings;
@@ -40,6 +41,8 @@ pub(crate) struct Run {
     manifest: RefCell<Manifest>,
     /// Digests of files that this process has read and that have not changed since.
     digests: RefCell<BTreeMap<PathBuf, String>>,
+    /// The states of these files before their digests were computed.
+    states: RefCell<BTreeMap<PathBuf, Option<FileState>>>,
     /// Tables that were made with this pipeline.
     fresh: RefCell<BTreeSet<PathBuf>>,
     /// The stage that is running, or the last one that did.
@@ -96,6 +99,7 @@ impl Run {
             config,
             manifest: RefCell::new(Manifest::load(&folder.root)),
             digests: RefCell::default(),
+            states: RefCell::default(),
             fresh: RefCell::default(),
             stage: Cell::new(None),
             would_change: RefCell::default(),

@@ -1,10 +1,11 @@
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::write_scans;
 use dataset::tables::{Provenance, write_poses};
 use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject};
-use ingest::{IngestError, Log, Options, PoseOptions};
+use ingest::{IngestError, Log, Options, PoseFileError, PoseOptions};
 
 use crate::config::{LogOptions, usage};
 use crate::findings::Findings;
@@ -35,9 +36,14 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
                 continue;
             }
         }
-        let task =
-            Task { stage: Stage::Ingest, log: Some(log.name.clone()), inputs: log.paths.clone() };
-        match run.task(&task, |provenance| ingest_log(run, log, provenance)) {
+        let mut inputs = log.paths.clone();
+        inputs.extend(pose_file(run, log)?);
+        let task = Task { stage: Stage::Ingest, log: Some(log.name.clone()), inputs };
+        let ingested = match missing_pose_file(run, log)? {
+            Some(error) if !run.is_dry() => Err(error.into()),
+            _ => run.task(&task, |provenance| ingest_log(run, log, provenance)),
+        };
+        match ingested {
             Ok(of_log) => {
                 run.set_failed(&log.name, None)?;
                 findings.merge(of_log);
@@ -73,6 +79,18 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
 
 /// The code of a log whose file does not exist.
 const LOG_MISSING: &str = "log_missing";
+
+/// The file with the poses of a log, from `ingest.pose.file`.
+fn pose_file(run: &Run, log: &LogFile) -> Result<Option<PathBuf>> {
+    run.config.pose_file(&log.name)
+}
+
+/// The error for a log whose file with poses cannot be read.
+fn missing_pose_file(run: &Run, log: &LogFile) -> Result<Option<IngestError>> {
+    let Some(path) = pose_file(run, log)? else { return Ok(None) };
+    let read = std::fs::File::open(&path).map(drop);
+    Ok(read.err().map(|error| IngestError::PoseFile { path, source: PoseFileError::Read(error) }))
+}
 
 /// Refuses logs of one site whose poses are not in the map frame of the site: revisits between them
 /// would be wrong.
@@ -112,10 +130,13 @@ fn sharer(run: &Run, name: &str, own: &LogOptions) -> Result<Option<Arc<str>>> {
 fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done> {
     let own = run.config.for_log(&file.name)?;
     let sharer = sharer(run, &file.name, &own)?;
-    let options = Options { lidar: own.lidar.clone(), pose: own.pose.clone() };
+    let mut options = Options { lidar: own.lidar.clone(), pose: own.pose.clone() };
+    if let (Some(pose), Some(path)) = (&mut options.pose, pose_file(run, file)?) {
+        pose.file = Some(path.to_string_lossy().into_owned());
+    }
     let (logs, lost) = open(file)?;
-    let n_bytes: usize = logs.iter().map(|log| log.bytes().len()).sum();
-    let progress = progress_bar(n_bytes as u64, format!("ingest {}", file.name), true);
+    let n_bytes = logs.iter().map(Log::n_bytes).sum();
+    let progress = progress_bar(n_bytes, format!("ingest {}", file.name), true);
     let (scans, poses) = (run.scans(&file.name), run.poses(&file.name));
 
     let ingested = write_scans(&scans, &provenance, &file.name, |writer| {
@@ -128,6 +149,9 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
         if let (true, Some(other)) = (ingested.is_own_frame, &sharer) {
             let why = "are counted from its first satellite fix";
             return Err(own_frame(&file.name, why, &own, other, "origin"));
+        }
+        for path in &file.paths {
+            run.check_unchanged(path)?;
         }
         ingested.losses.merge(lost);
         ingested.losses = std::mem::take(&mut ingested.losses).in_log(&file.name);
@@ -153,6 +177,21 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
     Ok(Done { outputs: vec![scans, poses], losses, notes, summaries: vec![summary] })
 }
 
+/// Names the format of a file that is not MCAP, and the command that reads it.
+fn name_format(error: IngestError) -> IngestError {
+    match error {
+        IngestError::NotMcap { path, found, remedy } => match ::import::identify(&path) {
+            Some(known) => IngestError::NotMcap {
+                path,
+                found: format!("is {}", known.format),
+                remedy: known.remedy,
+            },
+            None => IngestError::NotMcap { path, found, remedy },
+        },
+        error => error,
+    }
+}
+
 /// Opens the files of a drive. If at least one can be read, the others are counted as losses.
 pub(crate) fn open(file: &LogFile) -> Result<(Vec<Log>, Losses), IngestError> {
     let mut losses = Losses::default();
@@ -166,6 +205,7 @@ pub(crate) fn open(file: &LogFile) -> Result<(Vec<Log>, Losses), IngestError> {
         match Log::open(path) {
             Ok(log) => logs.push(log),
             Err(error) => {
+                let error = name_format(error);
                 losses.add(Loss::new(LossKind::UnreadableDriveFile, subject(path)), 1);
                 first_error.get_or_insert(error);
             }
