@@ -188,11 +188,17 @@ fn coded_rows(markdown: &str) -> BTreeMap<String, String> {
 fn the_docs_list_every_code_of_a_loss_a_note_and_an_error_of_a_log() {
     let docs = fs::read_to_string(root().join("docs/messages.md")).unwrap();
     let rows = coded_rows(&docs);
-    let source = fs::read_to_string(root().join("crates/ingest/src/error.rs")).unwrap();
-    let (_, codes) = source.split_once("pub fn code(&self)").unwrap();
-    let (codes, _) = codes.split_once("\n    }\n").unwrap();
-    let errors: Vec<&str> = codes.split('"').skip(1).step_by(2).collect();
-    assert!(errors.contains(&"not_mcap"), "{errors:?}");
+    let sources = ["error.rs", "pose/wheel_error.rs"]
+        .map(|file| fs::read_to_string(root().join("crates/ingest/src").join(file)).unwrap());
+    let errors: Vec<&str> = sources
+        .iter()
+        .flat_map(|source| {
+            let (_, codes) = source.split_once("pub fn code(&self)").unwrap();
+            let (codes, _) = codes.split_once("\n    }\n").unwrap();
+            codes.split('"').skip(1).step_by(2)
+        })
+        .collect();
+    assert!(errors.contains(&"not_mcap") && errors.contains(&"dead_gyro"), "{errors:?}");
     let severities: BTreeMap<&str, &str> = dataset::LossKind::SEVERITIES
         .iter()
         .chain(dataset::NoteKind::SEVERITIES)

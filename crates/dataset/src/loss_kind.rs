@@ -129,7 +129,19 @@ codes! {
         Warning "no_wheel_joints" NoWheelJoints {
             /// The joints of the message.
             joints: String,
-        } => "message{s} without joints named `left` and `right` (joints: {joints})";
+        } => "message{s} without driven wheels on the left and on the right (joints: {joints})";
+        /// A JointState message has more wheels on one side.
+        Warning "unequal_wheel_joints" UnequalWheelJoints {
+            /// Wheels on the left.
+            n_left: u64,
+            /// Wheels on the right.
+            n_right: u64,
+            /// The joints of the message.
+            joints: String,
+        } => "message{s} with {n_left} wheels on the left and {n_right} on the right, expected the same number; name them in `ingest.pose.wheels` (joints: {joints})";
+        /// A step of a wheel position that no wheel can make.
+        Warning "wheel_position_jumps" WheelPositionJumps
+            => "step{s} between two wheel positions that the wheels cannot make, or that are not known after a pause (the counter was reset or wrapped)";
 
         // Velodyne packets.
 

@@ -4,6 +4,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::codes::codes;
 
+/// ``log `a` `` or ``logs `a`, `b`, `c`, ...``
+fn of_logs(logs: &[String]) -> String {
+    const MAX_NAMED: usize = 3;
+    let names: Vec<String> = logs.iter().take(MAX_NAMED).map(|log| format!("`{log}`")).collect();
+    let more = if MAX_NAMED < logs.len() { ", ..." } else { "" };
+    format!("{} {}{more}", if logs.len() == 1 { "log" } else { "logs" }, names.join(", "))
+}
+
 codes! {
     /// The kinds of notes. `docs/messages.md` gives meaning, usual cause and remedy of each.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,6 +38,43 @@ codes! {
             /// Its error.
             error: String,
         } => "`{stage}` refuses the suggested pipeline: {error}";
+        /// Two pose topics of a log disagree in extent or revisits.
+        Warning "pose_topics_disagree" PoseTopicsDisagree {
+            /// The other topic. The subject is the topic that the pipeline uses.
+            other: String,
+            /// Extent of the path by the topic: root mean square distance from its centre \[m\].
+            extent_m: f64,
+            /// Extent of the path by the other topic \[m\].
+            other_extent_m: f64,
+            /// Revisits by the topic: pairs of places.
+            n_revisits: u64,
+            /// Those that are farther apart than `apart_m` by the other topic.
+            n_apart: u64,
+            /// Revisits by the other topic.
+            other_n_revisits: u64,
+            /// Those that are farther apart than `apart_m` by the topic.
+            other_n_apart: u64,
+            /// A revisit by one topic is contradicted if it is farther apart by the other \[m\].
+            apart_m: f64,
+        } => "the poses of topic `{other}` disagree: their path extends {other_extent_m:.1} m around its centre instead of {extent_m:.1} m; {n_apart} of {n_revisits} revisits are more than {apart_m} m apart by `{other}`, and {other_n_apart} of its {other_n_revisits} revisits are more than {apart_m} m apart here; labels are only right with poses that do not drift: check which topic is right";
+        /// Logs of one site have poses in a frame of odometry, which starts anew in each log.
+        Warning "site_in_odometry_frame" SiteInOdometryFrame {
+            /// The site.
+            site: String,
+            /// The frame of the poses.
+            frame: String,
+            /// The logs with poses in that frame.
+            logs: Vec<String>,
+        } => "site `{site}`: the poses of {} are in frame `{frame}`, which starts anew in each log and drifts; pairs of two logs may have wrong labels: use poses in a map frame that the logs share, or remove `site`", of_logs(logs);
+        /// All logs of a site start at the origin.
+        Warning "site_starts_at_origin" SiteStartsAtOrigin {
+            /// The site.
+            site: String,
+            /// The logs.
+            logs: Vec<String>,
+            /// Largest distance of a first pose from the origin \[m\].
+            farthest_m: f64,
+        } => "site `{site}`: the first poses of {} are all at the origin (within {farthest_m:.2} m), as if each log had a map frame of its own; pairs of two logs may have wrong labels: check that the logs share a map frame, or remove `site`", of_logs(logs);
 
         /// Messages of other frames were not used.
         Info "other_frames" OtherFrames {
@@ -412,6 +457,139 @@ codes! {
         } => "poses fused from {n_wheel_samples} wheel and {n_imu_samples} IMU samples: {distance_m:.1} m, at rest {:.0} % of the time, track width {track_m:.3} +- {track_std_m:.3} m{}",
             still_share * 100.0,
             gyro_bias_rad_s.map_or_else(String::new, |bias| format!(", gyroscope bias {bias:.5} rad/s"));
+        /// The joints that are used as wheels.
+        Info "wheel_joints" WheelJoints {
+            /// On the left.
+            left: String,
+            /// On the right.
+            right: String,
+            /// `velocities` or `positions`.
+            source: String,
+            /// Messages with these joints.
+            n_messages: u64,
+        } => "wheels: {left} (left) and {right} (right), {source} of {n_messages} messages";
+        /// The unit of the wheels was confirmed by the gyroscope.
+        Info "wheel_unit_confirmed" WheelUnitConfirmed {
+            /// Turns of the gyroscope over turns of the wheels.
+            ratio: f64,
+        } => "the wheel velocities are taken as m/s: the gyroscope turns {ratio:.2} times as much as the wheels then; state it with `ingest.pose.wheel_speed_unit = \"m/s\"`";
+        /// Wrapped wheel positions were unwrapped.
+        Info "wheel_positions_unwrapped" WheelPositionsUnwrapped {
+            /// How many times.
+            n_turns: u64,
+        } => "the wheel positions are wrapped to one turn; unwrapped {n_turns} times by 2 pi";
+        /// The velocities of the wheels are zero, but the positions change.
+        Info "zero_wheel_velocities" ZeroWheelVelocities {
+            /// Messages.
+            n_messages: u64,
+            /// Mean path of a wheel \[rad or m\].
+            path: f64,
+        } => "the wheel velocities of all {n_messages} messages are 0, but the positions change by {path:.1} rad (or m): the positions were used";
+        /// The velocities of the wheels are not the changes of their positions.
+        Warning "wheel_velocities_contradict_positions" WheelVelocitiesContradictPositions {
+            /// Changes of the positions over integrated velocities.
+            ratio: f64,
+        } => "the wheel positions change {ratio:.3} times as fast as the wheel velocities, expected 1: the positions were used; check the unit of the velocities";
+        /// The twist of odometry is zero, but the poses move.
+        Info "zero_twists" ZeroTwists {
+            /// Messages.
+            n_messages: u64,
+        } => "the twist of all {n_messages} odometry messages is 0, but their poses move: the speeds were computed from the poses";
+        /// The twist of odometry is in the parent frame.
+        Info "twist_in_parent_frame" TwistInParentFrame {
+            /// The parent frame.
+            parent: String,
+            /// The child frame.
+            child: String,
+        } => "the twist is in frame `{parent}` and not in its child frame `{child}`, as its poses show: rotated by the heading of each pose";
+        /// The twist of odometry does not explain its poses.
+        Warning "twist_contradicts_poses" TwistContradictsPoses {
+            /// Share of the motion that it does not explain, 0 to 1 and more.
+            left_share: f64,
+        } => "the twist does not explain {:.0} % of the motion of the poses in the same messages: check its unit and its frame", left_share * 100.0;
+        /// Gyroscope and wheels turn by different amounts.
+        Warning "turn_ratio" TurnRatio {
+            /// Turns of the gyroscope over turns of the wheels.
+            ratio: f64,
+        } => "the gyroscope turns {ratio:.2} times as much as the wheels, expected 1: check `ingest.pose.track_m` and `wheel_radius_m`; the uncertainty of the poses was raised";
+        /// The wheels do not turn the robot, but the gyroscope does.
+        Warning "wheels_do_not_turn" WheelsDoNotTurn {
+            /// Turns of the gyroscope to both sides \[rad\].
+            gyro_rad: f64,
+            /// Turns of the wheels to both sides \[rad\].
+            wheels_rad: f64,
+        } => "the gyroscope turns by {gyro_rad:.2} rad, but the wheels by {wheels_rad:.2} rad: check the joints of the wheels, or the angular velocity of the odometry; the uncertainty of the poses was raised";
+        /// The measured heading never changes.
+        Info "constant_heading" ConstantHeading {
+            /// `gyroscope` or `wheels`.
+            reference: String,
+            /// Its turns to both sides \[rad\].
+            reference_rad: f64,
+        } => "the orientation of the IMU never changes while the {reference} turns by {reference_rad:.2} rad: it is not measured and was not used";
+        /// The measured heading does not turn with the robot.
+        Warning "heading_does_not_turn" HeadingDoesNotTurn {
+            /// `gyroscope` or `wheels`.
+            reference: String,
+            /// Its turns to both sides \[rad\].
+            reference_rad: f64,
+            /// Largest minus smallest heading \[rad\].
+            heading_rad: f64,
+        } => "the headings of the IMU stay within {heading_rad:.3} rad and do not follow the {reference}, which turns by {reference_rad:.2} rad: they were not used (`ingest.pose.use_heading = false` skips this check)";
+        /// The measured heading turns the other way.
+        Warning "heading_turns_opposite" HeadingTurnsOpposite {
+            /// `gyroscope` or `wheels`.
+            reference: String,
+            /// Turns of the heading over its turns.
+            ratio: f64,
+        } => "the headings of the IMU turn {ratio:.2} times as much as the {reference}, expected 1: they are clockwise (NED) and were not used; convert them to counter-clockwise (ENU), or set `ingest.pose.use_heading = false`";
+        /// Gyroscope and wheels contradict each other most of the time.
+        Warning "mostly_slip" MostlySlip {
+            /// Windows in which they differ by more than the gate.
+            n_outliers: u64,
+            /// All windows of one second.
+            n_windows: u64,
+        } => "gyroscope and wheels contradict each other in {n_outliers} of {n_windows} s: this is not wheel slip; check `track_m`, `wheel_radius_m` and the stamps; the uncertainty of the poses was raised";
+        /// Most measured headings contradict the other sensors.
+        Warning "headings_contradict" HeadingsContradict {
+            /// Headings beyond the gate.
+            n_outliers: u64,
+            /// Headings used.
+            n_headings: u64,
+        } => "{n_outliers} of {n_headings} headings of the IMU contradict gyroscope and wheels: set `ingest.pose.use_heading = false` if the heading is disturbed; the uncertainty of the poses was raised";
+        /// A calibrated constant is far from its prior.
+        Warning "calibration_deviates" CalibrationDeviates {
+            /// The constant.
+            name: String,
+            /// Its value.
+            value: f64,
+            /// The expected value.
+            expected: f64,
+            /// The standard deviation of the expected value.
+            std: f64,
+            /// The unit.
+            unit: String,
+        } => "the {name} is {value:.4} {unit}, expected {expected:.4} +- {std:.4} {unit}: more than 5 standard deviations; check the options of `ingest.pose`; the uncertainty of the poses was raised";
+        /// The IMU stops early or starts late.
+        Warning "wheels_without_imu" WheelsWithoutImu {
+            /// Time \[s\].
+            alone_s: f64,
+            /// Time of the wheels \[s\].
+            duration_s: f64,
+        } => "the IMU has no samples in {alone_s:.1} s of the {duration_s:.1} s of the wheels, at the start or the end: the wheels were used alone there";
+        /// Many IMU samples are outside of the time of the wheels.
+        Warning "imu_outside_wheels" ImuOutsideWheels {
+            /// Samples outside.
+            n_outside: u64,
+            /// All samples.
+            n_samples: u64,
+        } => "{n_outside} of {n_samples} IMU samples are before the first or after the last wheel sample and were not used: check that both topics have stamps of one clock";
+        /// Some IMU samples are outside of the time of the wheels.
+        Info "imu_before_or_after_wheels" ImuBeforeOrAfterWheels {
+            /// Samples outside.
+            n_outside: u64,
+            /// All samples.
+            n_samples: u64,
+        } => "{n_outside} of {n_samples} IMU samples are before the first or after the last wheel sample and were not used";
         /// Headings of the IMU were used.
         Info "headings_used" HeadingsUsed {
             /// Headings used.

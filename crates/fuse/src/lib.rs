@@ -55,6 +55,7 @@
 //! # Ok::<(), fuse::FuseError>(())
 //! ```
 
+mod comparison;
 mod dead_reckoning;
 mod error;
 mod filter;
@@ -69,6 +70,7 @@ mod steps;
 
 use dataset::{Losses, Pose2, wrap_angle};
 
+pub use comparison::{TurnComparison, TurnComparisons, compare_turns};
 pub use dead_reckoning::DeadReckoning;
 pub use error::FuseError;
 pub use gravity::GravityEstimate;

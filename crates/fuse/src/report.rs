@@ -16,12 +16,19 @@ pub struct Report {
     pub distance_m: f64,
     /// Number of wheel samples used.
     pub n_wheel_samples: usize,
-    /// Number of IMU samples used.
+    /// Number of IMU samples used: those in the time range of the wheel samples.
     pub n_imu_samples: usize,
+    /// Number of IMU samples outside of that range.
+    pub n_imu_outside: usize,
+    /// Time of the wheel samples before the first and after the last IMU sample; 0 without an IMU
+    /// \[s\].
+    pub wheels_alone_secs: f64,
     /// Number of measured headings used; at most one every `heading_every_secs`.
     pub n_headings: u64,
     /// Number of used headings that were beyond the gate and therefore got less weight.
     pub n_heading_outliers: u64,
+    /// Number of one-second windows in which gyroscope and wheels were compared.
+    pub n_turns: u64,
     /// Number of one-second windows in which gyroscope and wheels differ by more than the gate
     /// allows, which indicates wheel slip.
     pub n_turn_outliers: u64,
@@ -82,8 +89,11 @@ impl Report {
             distance_m: (steps.steps.iter()).map(|step| true_path_m(&step.motion).abs()).sum(),
             n_wheel_samples: steps.n_wheel_samples,
             n_imu_samples: steps.n_imu_samples,
+            n_imu_outside: steps.n_imu_outside,
+            wheels_alone_secs: steps.wheels_alone_secs,
             n_headings: path.n_headings,
             n_heading_outliers: path.n_heading_outliers,
+            n_turns: path.n_turns,
             n_turn_outliers: path.n_turn_outliers,
             gyro_bias_mean_rad_s: has_gyro.then_some(bias_mean),
             gyro_bias_last_rad_s: path.estimates.last().filter(|_| has_gyro).map(bias),

@@ -75,7 +75,12 @@ pub(crate) struct Steps {
     /// Motions for which gyroscope and wheels are compared.
     pub(crate) windows: Vec<Motion>,
     pub(crate) n_wheel_samples: usize,
+    /// IMU samples in the time range of the wheel samples.
     pub(crate) n_imu_samples: usize,
+    /// IMU samples outside of it. They are not used.
+    pub(crate) n_imu_outside: usize,
+    /// Time of the wheel samples before the first and after the last IMU sample \[s\].
+    pub(crate) wheels_alone_secs: f64,
     pub(crate) wheel_gaps: Gaps,
     pub(crate) imu_gaps: Gaps,
 }
@@ -102,6 +107,12 @@ pub(crate) fn steps(
         None => wheels.iter().map(|sample| sample.stamp_ns).collect(),
         Some(stamps) => within(stamps, start_ns, end_ns, losses),
     };
+    let n_imu_outside = outside(&imu, start_ns, end_ns);
+    if !imu.is_empty() && n_imu_outside == imu.len() {
+        let imu_ns = (imu[0].stamp_ns, imu[imu.len() - 1].stamp_ns);
+        let (n_imu, wheels_ns) = (imu.len(), (start_ns, end_ns));
+        return Err(FuseError::NoCommonTime { n_imu, wheels_ns, imu_ns });
+    }
     let stamps = stamps_of_steps(&wheels, &imu, &outputs);
     let mut headings = Headings::new(&imu, options);
     let start_heading_rad = headings.at(start_ns);
@@ -133,7 +144,15 @@ pub(crate) fn steps(
         steps,
         windows,
         n_wheel_samples: wheels.len(),
-        n_imu_samples: imu.len(),
+        n_imu_samples: imu.len() - n_imu_outside,
+        n_imu_outside,
+        wheels_alone_secs: match (imu.first(), imu.last()) {
+            (Some(first), Some(last)) => {
+                let before = seconds(start_ns, first.stamp_ns).max(0.0);
+                before + seconds(last.stamp_ns, end_ns).max(0.0)
+            }
+            _ => 0.0,
+        },
         wheel_gaps: gaps(&wheels, start_ns, end_ns, options.max_gap_secs),
         imu_gaps: gaps(&imu, start_ns, end_ns, options.max_gap_secs),
     })
@@ -225,6 +244,19 @@ fn windows(steps: &mut [Step]) -> Vec<Motion> {
         is_open = steps[k].window.is_some_and(|window| windows[window].dt_secs < WINDOW_SECS);
     }
     windows
+}
+
+/// Number of IMU samples that have no influence on the time from `start_ns` to `end_ns`. The last
+/// sample before it and the first one after it have: the yaw rate is interpolated.
+fn outside(imu: &[ImuSample], start_ns: i64, end_ns: i64) -> usize {
+    let is_covered = |k: usize| {
+        let next_ns = imu.get(k + 1).map_or(imu[k].stamp_ns, |next| next.stamp_ns);
+        let last_ns = if 0 < k { imu[k - 1].stamp_ns } else { imu[k].stamp_ns };
+        (imu[k].stamp_ns < start_ns && start_ns < next_ns)
+            || (start_ns..=end_ns).contains(&imu[k].stamp_ns)
+            || (end_ns < imu[k].stamp_ns && last_ns < end_ns)
+    };
+    (0..imu.len()).filter(|&k| !is_covered(k)).count()
 }
 
 /// The requested stamps within the wheel samples, in ascending order.

@@ -7,6 +7,7 @@ use dataset::Losses;
 
 use crate::pose::file::PoseFileError;
 use crate::pose::frames::LookupError;
+use crate::pose::wheel_error::WheelError;
 
 /// Why a log cannot be ingested.
 #[derive(Debug, thiserror::Error)]
@@ -127,6 +128,16 @@ pub enum IngestError {
         topic: String,
         /// Why.
         source: fuse::FuseError,
+    },
+    /// Wheels and IMU contradict each other or the options.
+    #[error("{path}: no poses from topic `{topic}`")]
+    Wheels {
+        /// The log.
+        path: PathBuf,
+        /// The topic of the wheels.
+        topic: String,
+        /// Why.
+        source: WheelError,
     },
     /// The lidar topic gives no scan.
     #[error(
@@ -300,6 +311,7 @@ impl IngestError {
             Self::PoseFile { .. } => "pose_file",
             Self::NoFrames { .. } => "no_frames",
             Self::Fuse { .. } => "cannot_fuse",
+            Self::Wheels { source, .. } => source.code(),
             Self::NoScans { .. } => "no_scans",
             Self::NoStamps { .. } => "no_stamps",
             Self::SeveralFrames { .. } => "several_frames",

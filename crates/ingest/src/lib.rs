@@ -47,6 +47,7 @@ mod survey;
 mod time_unit;
 mod types;
 mod velodyne;
+mod wheel_options;
 
 use dataset::Scan;
 use rayon::prelude::*;
@@ -61,16 +62,18 @@ pub use messages::hdl32e::HORIZONTAL_LASER;
 pub use options::{Clock, LidarOptions, Options};
 pub use pose::file::PoseFileError;
 pub use pose::frames::LookupError;
+pub use pose::wheel_error::WheelError;
 pub use pose_options::{Frames, Origin, PlanarPose, PoseOptionError, PoseOptions};
 pub use scan::assemble::Ingested;
 pub use stamp::Stamp;
 pub use survey::gather::survey;
 pub use survey::report::{
-    ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,
-    TopicSurvey, TransformSurvey,
+    ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey,
+    ScansSurvey, Survey, TopicSurvey, TransformSurvey,
 };
 pub use time_unit::TimeUnit;
 pub use types::{FRAME_TYPES, IMU_TYPES, LIDAR_TYPES, POSE_TYPES, WHEEL_TYPES};
+pub use wheel_options::{WheelSpeedUnit, WheelsTopic};
 
 use crate::mcap::chunk::Buffer;
 use drive::structure::StructureCheck;

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::stamp::Stamp;
 use crate::time_unit::TimeUnit;
+use crate::wheel_options::{WheelSpeedUnit, WheelsTopic};
 
 /// Where poses come from: the section `[ingest.pose]`.
 ///
@@ -42,20 +43,27 @@ pub struct PoseOptions {
     pub origin: Option<Origin>,
     /// Maximum speed of the robot. Poses that need a higher speed are reported \[m/s\].
     pub max_speed_m_s: f64,
-    /// Topic with wheel speeds: `JointState` (joint names that contain `left` or `right`), or `Odometry`,
-    /// of which the twist is used.
+    /// Topic with wheel speeds: `JointState`, or `Odometry`, of which the twist is used. The driven wheels
+    /// are found by the names of the joints, which contain `wheel` and a side, or are named:
+    /// `wheels = { topic = "/joint_states", left = ["..."], right = ["..."] }`.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub wheels: Option<String>,
+    pub wheels: Option<WheelsTopic>,
     /// Topic with `Imu` messages.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub imu: Option<String>,
     /// Track width: distance between the contact points of the left and the right wheel \[m\].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub track_m: Option<f64>,
-    /// Radius of the wheels, if the `JointState` messages contain angles \[m\]. Without it, positions are
-    /// in m and velocities in m/s.
+    /// Radius of the wheels \[m\]. `JointState` messages contain rad and rad/s.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub wheel_radius_m: Option<f64>,
+    /// Set to `m/s` if the `JointState` messages contain m and m/s instead. Without this and
+    /// `wheel_radius_m`, m/s must be confirmed by the gyroscope.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wheel_speed_unit: Option<WheelSpeedUnit>,
+    /// Factor for the angular velocity of the `Imu` messages, which is in rad/s and counter-clockwise:
+    /// 0.0174533 if it is in deg/s, -1 if the gyroscope turns clockwise.
+    pub gyro_scale: f64,
     /// Whether to use the headings in the orientation of the `Imu` messages. Their offset to the map is
     /// estimated.
     pub use_heading: bool,
@@ -81,6 +89,8 @@ impl Default for PoseOptions {
             imu: None,
             track_m: None,
             wheel_radius_m: None,
+            wheel_speed_unit: None,
+            gyro_scale: 1.0,
             use_heading: true,
             start: None,
             fuse: fuse::Options::default(),
@@ -210,6 +220,15 @@ impl PoseOptions {
         {
             return out_of_range("wheel_radius_m", radius_m, "more than 0");
         }
+        if self.wheel_radius_m.is_some() && self.wheel_speed_unit.is_some() {
+            return Err(PoseOptionError::RadiusAndUnit);
+        }
+        if let Some(fault) = self.wheels.as_ref().and_then(WheelsTopic::fault) {
+            return Err(PoseOptionError::WheelJoints { fault });
+        }
+        if !(self.gyro_scale.is_finite() && self.gyro_scale != 0.0) {
+            return out_of_range("gyro_scale", self.gyro_scale, "a finite number other than 0");
+        }
         if let Some((key, found)) = self.start.and_then(|start| start.not_finite()) {
             return out_of_range(&format!("start.{key}"), found, "a finite number");
         }
@@ -295,6 +314,19 @@ pub enum PoseOptionError {
         "`ingest.pose` sets `wheels` without `track_m`; set it to the distance between the left and the right wheel [m]"
     )]
     NoTrackWidth,
+    /// Two units of the wheels are stated.
+    #[error(
+        "`ingest.pose` sets `wheel_radius_m` and `wheel_speed_unit`; set `wheel_radius_m` if the joints are in rad and rad/s, or `wheel_speed_unit` if they are in m and m/s"
+    )]
+    RadiusAndUnit,
+    /// The joints of the wheels are named wrongly.
+    #[error(
+        "`ingest.pose.wheels` names {fault}; set `left` and `right` to the joints of the wheels on each side"
+    )]
+    WheelJoints {
+        /// What is wrong.
+        fault: String,
+    },
     /// An option is out of range.
     #[error(transparent)]
     OutOfRange(#[from] OutOfRange),
@@ -307,7 +339,7 @@ mod tests {
     #[test]
     fn exactly_one_source_of_poses_must_be_set() {
         let wheels = PoseOptions {
-            wheels: Some("/wheels".to_owned()),
+            wheels: Some("/wheels".into()),
             track_m: Some(0.5),
             ..PoseOptions::default()
         };

@@ -9,7 +9,7 @@ use std::f64::consts::{PI, TAU};
 
 use common::{Entry, codes, ingest_bytes, options, pose, small_chunks, write};
 use dataset::{Pose2, Scan};
-use ingest::{Frames, Ingested, Options, Origin, PlanarPose, PoseOptions};
+use ingest::{Frames, Ingested, Options, Origin, PlanarPose, PoseOptions, WheelSpeedUnit};
 use messages::hdl32e::{BLOCK_PERIOD_NS, BLOCKS, LASER_PERIOD_NS, PACKET_PERIOD_NS, PacketBuilder};
 use messages::{Encoding, Imu, JointState, LaserScan, NavSatFix, StampedPose3, Transform, ros};
 
@@ -363,7 +363,8 @@ fn dead_reckoning_from_wheels_deskews_scans() {
     let log = interleaved(wall_packets(), entries);
     for imu in [Some("/imu".to_owned()), None] {
         let pose = PoseOptions {
-            wheels: Some("/wheels".to_owned()),
+            wheels: Some("/wheels".into()),
+            wheel_speed_unit: Some(WheelSpeedUnit::MetresPerSecond),
             imu,
             track_m: Some(0.5),
             ..PoseOptions::default()

@@ -4,11 +4,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 use ingest::{
-    ClockSurvey, Content, HORIZONTAL_LASER, Log, PacketsSurvey, Survey, TopicSurvey, survey,
+    ClockSurvey, Content, HORIZONTAL_LASER, JointsSurvey, Log, PacketsSurvey, Survey, TopicSurvey,
+    survey,
 };
 use serde_json::json;
 
 use crate::findings::Findings;
+use crate::label_choice::LabelChoice;
 use crate::logs::{self, LogFile};
 use crate::plot;
 use crate::run::progress_bar;
@@ -51,24 +53,31 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     survey.losses.merge(lost);
     let suggestion = Suggestion::of(&survey, *track_m);
     let from = write.as_deref().and_then(Path::parent);
-    let pipeline =
-        suggestion.lidar.map(|lidar| suggestion.pipeline(lidar, path, from)).transpose()?;
-    let trial = match &pipeline {
-        Some(pipeline) => Trial::run(&drive.name, &logs, pipeline)?,
+    let with = |labels: &LabelChoice| {
+        let lidar = suggestion.lidar;
+        lidar.map(|lidar| suggestion.pipeline(lidar, path, from, labels)).transpose()
+    };
+    let coverage_deg = suggestion.coverage_deg();
+    let trial = match with(&LabelChoice::without_keyframes(coverage_deg))? {
+        Some(pipeline) => Trial::run(&drive.name, &logs, &pipeline)?,
         None => Trial::default(),
     };
+    let pipeline = with(&trial.labels(coverage_deg))?;
     let (missing, refused) = (suggestion.missing(), trial.refusal());
-    let findings = trial.findings_with(&survey);
+    let mut findings = trial.findings_with(&survey);
+    findings.notes.extend(suggestion.disagreements());
     if *as_json {
         let all = json!({
             "log": path, "survey": survey, "losses": findings.losses, "notes": findings.notes,
-            "missing": missing, "refused": refused, "pipeline": pipeline,
+            "missing": missing, "refused": refused, "too_few_pairs": trial.too_few_pairs(),
+            "pipeline": pipeline,
         });
         out!("{}", serde_json::to_string_pretty(&all)?);
     } else {
         describe(path, &drive, &survey);
         missing.iter().for_each(|missing| out!("missing: {missing}"));
-        refused.iter().for_each(|refused| out!("refused: {refused}"));
+        let refusals = refused.iter().cloned().chain(trial.too_few_pairs());
+        refusals.for_each(|refused| out!("refused: {refused}"));
         if let Some(pipeline) = pipeline.as_ref().filter(|_| write.is_none()) {
             print_pipeline(pipeline, &suggestion, &trial);
         }
@@ -88,9 +97,12 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
         let pipeline = pipeline.filter(|_| refused.is_none());
         write_new(file, &pipeline.ok_or_else(|| failed("suggest a pipeline for"))?)?;
         let file = file.display();
-        match suggestion.has_poses() {
-            true => eprintln!("wrote {file}; next: loopboost run {file} --out DIR"),
-            false => eprintln!("wrote {file}; before `loopboost run`, add what is missing"),
+        match trial.too_few_pairs() {
+            Some(why) => eprintln!("wrote {file}; {why}"),
+            None if suggestion.has_poses() => {
+                eprintln!("wrote {file}; next: loopboost run {file} --out DIR");
+            }
+            None => eprintln!("wrote {file}; before `loopboost run`, add what is missing"),
         }
     }
     Ok(findings)
@@ -100,6 +112,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
 fn print_pipeline(pipeline: &str, suggestion: &Suggestion<'_>, trial: &Trial) {
     let remark = match trial.refusal() {
         Some(_) => "; `loopboost run` refuses it as it is",
+        None if trial.too_few_pairs().is_some() => "; `loopboost run` needs more logs",
         None if suggestion.has_poses() => " (save it with --write FILE.toml)",
         None => "; before `loopboost run`, add what is missing",
     };
@@ -180,10 +193,24 @@ fn describe(path: &Path, drive: &LogFile, survey: &Survey) {
                     out!("  {} -> {}, {}", of.parent, of.child, counted(of.n_samples, "sample"));
                 }
             }
+            Content::Joints(joints) => print_joints(joints),
             Content::Other => {}
         }
     }
     out!();
+}
+
+fn print_joints(joints: &JointsSurvey) {
+    match (joints.left.join(", "), joints.right.join(", ")) {
+        (left, right) if !left.is_empty() => {
+            out!("  {} joints; wheels: {left} (left), {right} (right)", joints.joints.len());
+        }
+        _ => out!(
+            "  {} joints, no wheels on both sides: {}",
+            joints.joints.len(),
+            joints.joints.join(", ")
+        ),
+    }
 }
 
 fn print_packets(packets: &PacketsSurvey) {

@@ -14,15 +14,19 @@ macro_rules! out {
 
 mod cli;
 mod config;
+mod disagreement;
 mod findings;
 mod import;
 mod inspect;
+mod label_choice;
 mod lineage;
 mod logs;
 mod models;
 mod pipeline;
 mod plot;
+mod pose_choice;
 mod run;
+mod site_frames;
 mod stage;
 mod stages;
 mod suggest;

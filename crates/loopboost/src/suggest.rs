@@ -1,28 +1,34 @@
 //! Suggests a pipeline for a log.
 
+use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use dataset::FULL_RING_DEG;
+use dataset::{Note, Subject};
 use ingest::{Content, HORIZONTAL_LASER, MessageType, Survey, TopicSurvey};
+
+use crate::disagreement::disagreement;
+use crate::label_choice::LabelChoice;
+use crate::pose_choice::{PoseCandidate, PoseSource, Quality, main_frame, pose_candidates};
 
 /// The suggested topics.
 pub(crate) struct Suggestion<'a> {
     pub(crate) lidar: Option<&'a TopicSurvey>,
-    pose: Option<&'a TopicSurvey>,
+    /// Sources of poses in the log, the best first. The first is suggested, unless `wheels` is.
+    poses: Vec<PoseCandidate<'a>>,
     /// Wheel odometry and an IMU, if the log has no poses or the track width is given.
     wheels: Option<(&'a TopicSurvey, Option<&'a TopicSurvey>)>,
     track_m: Option<f64>,
-    /// Two frames connected by transforms, if the log has no poses.
-    frames: Option<SuggestedFrames>,
     /// A topic of packets without a complete revolution.
     lidar_without_revolution: Option<&'a TopicSurvey>,
+    /// Pose topics that do not move.
+    still: Vec<&'a TopicSurvey>,
 }
 
 impl<'a> Suggestion<'a> {
-    /// Selects the topics. Packets are preferred to clouds, and clouds to planar scans. Of the pose
-    /// topics with movement, the one with the most messages is selected.
+    /// Selects the topics. Packets are preferred to clouds, and clouds to planar scans. Poses in a map
+    /// frame are preferred to odometry ([`pose_candidates`]).
     pub(crate) fn of(survey: &'a Survey, track_m: Option<f64>) -> Self {
         let rank = |topic: &TopicSurvey| match &topic.content {
             Content::Packets(packets) if packets.is_hdl32e && packets.n_revolutions > 0 => 3,
@@ -30,12 +36,11 @@ impl<'a> Suggestion<'a> {
             Content::Scans(_) => 1,
             _ => 0,
         };
-        let moves = |topic: &TopicSurvey| match &topic.content {
-            Content::Poses(poses) => poses.path_m > 0.0,
+        let is_still = |topic: &&TopicSurvey| match &topic.content {
+            Content::Poses(poses) => poses.path_m <= 0.0 && 0 < topic.n_messages,
             _ => false,
         };
         let lidars = survey.topics.iter().filter(|topic| rank(topic) > 0);
-        let poses = survey.topics.iter().filter(|topic| moves(topic));
         let is_one_of = |topic: &TopicSurvey, types: &[MessageType]| {
             let name = topic.schema.rsplit('/').next().unwrap_or_default();
             topic.n_messages > 0 && types.iter().any(|of| of.name() == name)
@@ -44,25 +49,21 @@ impl<'a> Suggestion<'a> {
             let topics = survey.topics.iter().rev().filter(|topic| is_one_of(topic, types));
             topics.max_by_key(|topic| topic.n_messages)
         };
-        // Satellite fixes have no heading and need an origin. They are the last choice.
-        let pose = poses
-            .rev()
-            .max_by_key(|topic| (!is_one_of(topic, &[MessageType::NavSatFix]), topic.n_messages));
+        let poses = pose_candidates(survey);
         // Wheel joints are preferred to the odometry that a driver computes from them.
         let wheels = ingest::WHEEL_TYPES.iter().find_map(|of| with_most_messages(&[*of]));
         let imu = with_most_messages(&ingest::IMU_TYPES);
-        let is_wanted = pose.is_none() || track_m.is_some();
-        let frames = SuggestedFrames::of(survey).filter(|_| pose.is_none() && track_m.is_none());
+        let is_wanted = poses.is_empty() || track_m.is_some();
         Self {
             // Of topics with equal numbers, the first by name.
             lidar: lidars.rev().max_by_key(|topic| (rank(topic), topic.n_messages)),
-            pose: pose.filter(|_| track_m.is_none() || wheels.is_none()),
-            wheels: wheels.filter(|_| is_wanted && frames.is_none()).map(|wheels| (wheels, imu)),
+            poses,
+            wheels: wheels.filter(|_| is_wanted).map(|wheels| (wheels, imu)),
             track_m,
-            frames,
             lidar_without_revolution: survey.topics.iter().find(
                 |topic| matches!(&topic.content, Content::Packets(packets) if packets.n_revolutions == 0),
             ),
+            still: survey.topics.iter().filter(is_still).collect(),
         }
     }
 
@@ -80,10 +81,14 @@ impl<'a> Suggestion<'a> {
                 "the track width of the wheels of topic `{}`, which could give poses; measure it and pass it with --track-m",
                 wheels.topic
             ));
-        } else if self.pose.is_none() && self.wheels.is_none() && self.frames.is_none() {
+        } else if self.poses.is_empty() && self.wheels.is_none() {
             let names = ingest::POSE_TYPES.map(MessageType::name).join(", ");
+            let still = match self.still.as_slice() {
+                [] => String::new(),
+                [one, ..] => format!("; the poses of topic `{}` never change", one.topic),
+            };
             missing.push(format!(
-                "a pose topic with movement (one of {names}); without poses, scans can be ingested but not labelled"
+                "a pose topic with movement (one of {names}){still}; without poses, scans can be ingested but not labelled"
             ));
         }
         missing
@@ -91,9 +96,41 @@ impl<'a> Suggestion<'a> {
 
     /// Whether the suggested pipeline has poses.
     pub(crate) fn has_poses(&self) -> bool {
-        self.pose.is_some()
-            || self.frames.is_some()
-            || (self.wheels.is_some() && self.track_m.is_some())
+        match self.wheels {
+            Some(_) => self.track_m.is_some(),
+            None => !self.poses.is_empty(),
+        }
+    }
+
+    /// Whether other pose topics disagree with the suggested one.
+    pub(crate) fn disagreements(&self) -> Vec<Note> {
+        let of_topic = |of: &PoseCandidate<'a>| match &of.source {
+            PoseSource::Topic(topic) => Some(*topic),
+            PoseSource::Frames { .. } => None,
+        };
+        let Some(used) = self.poses.first().and_then(of_topic).filter(|_| self.wheels.is_none())
+        else {
+            return Vec::new();
+        };
+        let trajectory = |topic: &'a TopicSurvey| match &topic.content {
+            Content::Poses(poses) => Some(&poses.trajectory),
+            _ => None,
+        };
+        // Fixes are positions without headings, with an error of metres: they do not contradict.
+        let others = self.poses[1..].iter().filter(|of| Quality::Fixes < of.quality);
+        let others = others.filter_map(of_topic).filter_map(|other| {
+            let kind = disagreement(trajectory(used)?, trajectory(other)?, &other.topic)?;
+            Some(Note::new(kind, Subject::topic(&used.topic)))
+        });
+        others.collect()
+    }
+
+    /// The angle that planar scans of the lidar topic cover \[deg\]; `None` for other topics.
+    pub(crate) fn coverage_deg(&self) -> Option<f64> {
+        match &self.lidar?.content {
+            Content::Scans(scans) => Some(scans.coverage_deg),
+            _ => None,
+        }
     }
 
     /// The text of the pipeline file. The path of the log is relative to the folder `from`, or
@@ -103,6 +140,7 @@ impl<'a> Suggestion<'a> {
         lidar: &TopicSurvey,
         log: &Path,
         from: Option<&Path>,
+        labels: &LabelChoice,
     ) -> Result<String> {
         let found = |path: &Path| {
             path.canonicalize().with_context(|| format!("cannot find {}", path.display()))
@@ -117,17 +155,41 @@ impl<'a> Suggestion<'a> {
         let mut text = format!("[ingest]\nlogs = [{:?}]\n", log.display().to_string());
         self.write_poses(&mut text)?;
         write_lidar(&mut text, lidar)?;
+        labels.write(&mut text)?;
         Ok(text)
     }
 
-    /// Writes the options of the poses.
+    /// Writes the options of the poses. Other sources are comments.
     fn write_poses(&self, text: &mut String) -> fmt::Result {
-        match (self.pose, self.wheels) {
-            (Some(pose), _) => writeln!(text, "pose.topic = {:?}", pose.topic)?,
+        let (used, others) = match (self.wheels, self.poses.split_first()) {
+            (None, Some((used, others))) => (Some(used), others),
+            _ => (None, self.poses.as_slice()),
+        };
+        match (used.map(|of| &of.source), self.wheels) {
+            (Some(PoseSource::Topic(topic)), _) => {
+                writeln!(text, "pose.topic = {:?}{}", topic.topic, comment(used))?;
+                write_frame_id(text, "pose.frame_id", topic)?;
+                write_others(text, others)?;
+            }
+            (Some(PoseSource::Frames { parent, child, topics }), _) => {
+                write_others(text, others)?;
+                writeln!(
+                    text,
+                    "\n[ingest.pose.frames]\nparent = {parent:?}{}\nchild = {child:?}\ntopics = {topics:?}",
+                    comment(used)
+                )?;
+            }
             (None, Some((wheels, imu))) => {
+                write_others(text, others)?;
                 writeln!(text, "\n[ingest.pose]\nwheels = {:?}", wheels.topic)?;
                 if let Some(imu) = imu {
                     writeln!(text, "imu = {:?}", imu.topic)?;
+                }
+                if matches!(wheels.content, Content::Joints(_)) {
+                    writeln!(
+                        text,
+                        "# wheel_radius_m = 0.1   # joints are in rad/s; or wheel_speed_unit = \"m/s\""
+                    )?;
                 }
                 match self.track_m {
                     Some(track_m) => writeln!(text, "track_m = {track_m:?}")?,
@@ -137,24 +199,59 @@ impl<'a> Suggestion<'a> {
                     )?,
                 }
             }
-            (None, None) => match &self.frames {
-                Some(SuggestedFrames { parent, child, topics }) => writeln!(
-                    text,
-                    "\n[ingest.pose.frames]\nparent = {parent:?}\nchild = {child:?}\ntopics = {topics:?}"
-                )?,
-                None => writeln!(
-                    text,
-                    "# pose.topic = \"...\"   # the log has no poses; without poses, scans cannot be labelled"
-                )?,
-            },
+            (None, None) => writeln!(
+                text,
+                "# pose.topic = \"...\"   # the log has no poses; without poses, scans cannot be labelled"
+            )?,
         }
         Ok(())
     }
 }
 
-/// Writes the options of the lidar, and those of the labels that depend on it.
+/// Why a source of poses was chosen, or what is wrong with it.
+fn comment(of: Option<&PoseCandidate<'_>>) -> String {
+    of.map(|of| format!("   # {}", of.reason)).unwrap_or_default()
+}
+
+/// Writes other sources of poses as comments.
+fn write_others(text: &mut String, others: &[PoseCandidate<'_>]) -> fmt::Result {
+    for of in others {
+        let comment = comment(Some(of));
+        match &of.source {
+            PoseSource::Topic(topic) => {
+                writeln!(text, "# pose.topic = {:?}{comment}", topic.topic)?
+            }
+            PoseSource::Frames { parent, child, topics } => writeln!(
+                text,
+                "# pose.frames = {{ parent = {parent:?}, child = {child:?}, topics = {topics:?} }}{comment}"
+            )?,
+        }
+    }
+    Ok(())
+}
+
+/// Selects the frame of most messages, if a topic has several. The others are a comment.
+fn write_frame_id(text: &mut String, key: &str, topic: &TopicSurvey) -> fmt::Result {
+    let mut n_messages: BTreeMap<&str, u64> = BTreeMap::new();
+    for frame in &topic.frames {
+        *n_messages.entry(&frame.frame_id).or_default() += frame.n_messages;
+    }
+    let used = main_frame(topic);
+    let others: Vec<String> = n_messages
+        .into_iter()
+        .filter(|(frame, _)| *frame != used)
+        .map(|(frame, n)| format!("`{frame}` ({n} messages)"))
+        .collect();
+    match others.is_empty() {
+        true => Ok(()),
+        false => writeln!(text, "{key} = {used:?}   # the topic also has {}", others.join(", ")),
+    }
+}
+
+/// Writes the options of the lidar.
 fn write_lidar(text: &mut String, lidar: &TopicSurvey) -> fmt::Result {
     writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;
+    write_frame_id(text, "frame_id", lidar)?;
     match &lidar.content {
         Content::Packets(packets) => {
             if packets.is_stamped_by_message() {
@@ -182,66 +279,10 @@ fn write_lidar(text: &mut String, lidar: &TopicSurvey) -> fmt::Result {
             if near < far && far.is_finite() {
                 writeln!(text, "range_max_m = {far:?}")?;
             }
-            if scans.coverage_deg < f64::from(FULL_RING_DEG) {
-                writeln!(
-                    text,
-                    "\n[label]\npositive_heading_deg = 45.0   # the scanner covers less than a full circle"
-                )?;
-            }
         }
         _ => {}
     }
     Ok(())
-}
-
-/// Two frames that are connected by transforms.
-struct SuggestedFrames {
-    parent: String,
-    child: String,
-    topics: Vec<String>,
-}
-
-impl SuggestedFrames {
-    /// The parent is a frame `map`, `world` or `odom` (REP 105) that has no parent itself. The child is
-    /// a frame of the lidar, or the base frame of the robot if there is none.
-    fn of(survey: &Survey) -> Option<Self> {
-        let of_topic = |topic: &'_ TopicSurvey| match &topic.content {
-            Content::Transforms(transforms) => transforms.clone(),
-            _ => Vec::new(),
-        };
-        let transforms: Vec<_> = survey.topics.iter().flat_map(of_topic).collect();
-        let bare = |frame: &str| frame.trim_start_matches('/').to_owned();
-        let ends_with = |frame: &str, name: &str| {
-            frame
-                .strip_suffix(name)
-                .is_some_and(|before| before.is_empty() || before.ends_with('/'))
-        };
-        let is_root = |frame: &str| transforms.iter().all(|t| bare(&t.child) != frame);
-        let mut roots: Vec<String> = transforms.iter().map(|t| bare(&t.parent)).collect();
-        roots.retain(|frame| is_root(frame));
-        let parent = ["map", "world", "odom"]
-            .into_iter()
-            .find_map(|name| roots.iter().find(|frame| ends_with(frame, name)))?
-            .clone();
-        // The descendants of the parent, in breadth-first order.
-        let mut below = vec![parent.clone()];
-        let mut k = 0;
-        while let Some(frame) = below.get(k).cloned() {
-            let children =
-                transforms.iter().filter(|t| bare(&t.parent) == frame).map(|t| bare(&t.child));
-            let new: Vec<_> = children.filter(|child| !below.contains(child)).collect();
-            below.extend(new);
-            k += 1;
-        }
-        let named = |names: &[&str]| {
-            below[1..].iter().find(|frame| names.iter().any(|name| frame.contains(name)))
-        };
-        let child =
-            named(&["velodyne", "lidar", "laser"]).or_else(|| named(&["base_link", "base"]))?;
-        let has_transforms = |topic: &&TopicSurvey| !of_topic(topic).is_empty();
-        let topics = survey.topics.iter().filter(has_transforms).map(|topic| topic.topic.clone());
-        Some(Self { parent, child: child.clone(), topics: topics.collect() })
-    }
 }
 
 /// A path relative to a folder. Both are absolute.
@@ -256,36 +297,18 @@ fn relative(path: &Path, folder: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ingest::TransformSurvey;
 
     fn topic(name: &str, schema: &str, n_messages: u64, content: Content) -> TopicSurvey {
         let (topic, schema, encoding) = (name.to_owned(), schema.to_owned(), "cdr".to_owned());
-        TopicSurvey { topic, schema, encoding, n_messages, rate_hz: None, content }
-    }
-
-    #[test]
-    fn frames_are_suggested_from_the_map_to_the_lidar() {
-        let transform = |parent: &str, child: &str| TransformSurvey {
-            parent: parent.to_owned(),
-            child: child.to_owned(),
-            n_samples: 9,
-        };
-        let moving =
-            Content::Transforms(vec![transform("/map", "odom"), transform("odom", "base_link")]);
-        let fixed = Content::Transforms(vec![
-            transform("base_link", "mast"),
-            transform("mast", "velodyne_top"),
-        ]);
-        let of = |topics: Vec<TopicSurvey>| Survey { topics, ..Survey::default() };
-        let tf = |name: &str, content| topic(name, "tf2_msgs/msg/TFMessage", 9, content);
-        let survey = of(vec![tf("/tf", moving.clone()), tf("/tf_static", fixed.clone())]);
-        let frames = SuggestedFrames::of(&survey).unwrap();
-        assert_eq!((&*frames.parent, &*frames.child), ("map", "velodyne_top"));
-        assert_eq!(frames.topics, ["/tf", "/tf_static"]);
-        let frames = SuggestedFrames::of(&of(vec![tf("/tf", moving)])).unwrap();
-        assert_eq!(frames.child, "base_link");
-        // Static transforms alone do not connect the robot to a map.
-        assert!(SuggestedFrames::of(&of(vec![tf("/tf_static", fixed)])).is_none());
+        TopicSurvey {
+            topic,
+            schema,
+            encoding,
+            n_messages,
+            rate_hz: None,
+            frames: Vec::new(),
+            content,
+        }
     }
 
     /// The log has no poses. Its wheels and IMU give poses if the track width is given.
@@ -302,7 +325,8 @@ mod tests {
         let log = std::env::current_exe().unwrap();
         let written = |survey: &Survey, track_m| {
             let suggestion = Suggestion::of(survey, track_m);
-            let text = suggestion.pipeline(suggestion.lidar.unwrap(), &log, None).unwrap();
+            let labels = LabelChoice::without_keyframes(None);
+            let text = suggestion.pipeline(suggestion.lidar.unwrap(), &log, None, &labels).unwrap();
             (suggestion.missing(), suggestion.has_poses(), text)
         };
         let (missing, has_poses, text) = written(&survey, None);
@@ -317,8 +341,10 @@ mod tests {
         let moving = ingest::PosesSurvey { path_m: 3.0, ..Default::default() };
         survey.topics[2].content = Content::Poses(moving);
         let (missing, _, text) = written(&survey, None);
-        assert!(missing.is_empty() && text.contains("pose.topic = \"/odom\""), "{text}");
-        assert!(written(&survey, Some(0.4)).2.contains("wheels = \"/joints\""));
+        assert!(missing.is_empty() && text.contains("\npose.topic = \"/odom\""), "{text}");
+        let (_, _, text) = written(&survey, Some(0.4));
+        assert!(text.contains("wheels = \"/joints\""), "{text}");
+        assert!(text.contains("# pose.topic = \"/odom\""), "{text}");
     }
 
     #[test]

@@ -9,6 +9,7 @@ use subsample::Candidate;
 
 use crate::config::Config;
 use crate::findings::Findings;
+use crate::label_choice::LabelChoice;
 use crate::run::progress_bar;
 use crate::stage::Stage;
 
@@ -19,6 +20,8 @@ pub(crate) struct Trial {
     pub(crate) poses: Vec<StampedPose>,
     /// The keyframes. Empty without poses.
     pub(crate) keyframes: Vec<Keyframe>,
+    /// The label rules that suit the keyframes.
+    labels: Option<LabelChoice>,
     /// What the stages left out and remarked.
     findings: Findings,
     /// The stage that failed, and why.
@@ -60,8 +63,11 @@ impl Trial {
             let log: Arc<str> = name.into();
             match subsample::subsample(&config.subsample, &log, &log, &candidates, &trajectory) {
                 Ok((keyframes, losses)) => {
-                    trial.keyframes = keyframes;
+                    let labels = LabelChoice::of(config.seed, &keyframes);
+                    trial.findings.notes.extend(labels.notes.iter().cloned());
                     trial.findings.losses.merge(losses);
+                    trial.labels = Some(labels);
+                    trial.keyframes = keyframes;
                 }
                 Err(error) => trial.refusal = Some((Stage::Subsample, error.into())),
             }
@@ -74,6 +80,17 @@ impl Trial {
     pub(crate) fn refusal(&self) -> Option<String> {
         let (stage, error) = self.refusal.as_ref()?;
         Some(format!("`{stage}` fails: {error:#}"))
+    }
+
+    /// Why `run` would refuse the pipeline for this log alone. Other logs of the site can help.
+    pub(crate) fn too_few_pairs(&self) -> Option<String> {
+        let refusal = self.labels.as_ref()?.refusal.as_ref()?;
+        Some(format!("`label` fails for this log alone: {refusal}"))
+    }
+
+    /// The label rules that suit the keyframes.
+    pub(crate) fn labels(&self, coverage_deg: Option<f64>) -> LabelChoice {
+        self.labels.clone().unwrap_or_else(|| LabelChoice::without_keyframes(coverage_deg))
     }
 
     /// What the survey and the trial found.
@@ -102,7 +119,8 @@ impl Trial {
 fn topics(options: &Options) -> Vec<String> {
     let mut topics = vec![options.lidar.topic.clone()];
     if let Some(pose) = &options.pose {
-        topics.extend([&pose.topic, &pose.wheels, &pose.imu].into_iter().flatten().cloned());
+        topics.extend([&pose.topic, &pose.imu].into_iter().flatten().cloned());
+        topics.extend(pose.wheels.iter().map(|wheels| wheels.topic.clone()));
         topics.extend(pose.frames.iter().flat_map(|frames| frames.topics.clone()));
     }
     topics

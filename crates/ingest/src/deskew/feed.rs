@@ -1,10 +1,11 @@
 //! The poses of the lidar while the log is being read. They are used for deskewing.
 
 use dataset::{Pose2, StampedPose};
-use fuse::{DeadReckoning, GravityEstimate, WheelSample};
+use fuse::{DeadReckoning, GravityEstimate};
 
 use crate::deskew::recent_poses::RecentPoses;
 use crate::pose::frames::TransformHistory;
+use crate::pose::live_wheels::LiveWheels;
 use crate::pose::readings::MotionReadings;
 use crate::pose_options::{Frames, PoseOptions};
 
@@ -19,11 +20,13 @@ enum FeedSource {
     Poses,
     /// Transforms, used up to a stamp.
     Frames(Frames, i64),
-    /// Wheels, with or without an IMU. `position` is the last wheel position.
+    /// Wheels, with or without an IMU.
     Wheels {
         dead_reckoning: DeadReckoning,
-        position: Option<(i64, f64, f64)>,
+        wheels: LiveWheels,
         gravity: GravityEstimate,
+        /// 1, or -1 for a gyroscope that turns clockwise.
+        gyro_sign: f64,
     },
 }
 
@@ -35,8 +38,9 @@ impl PoseFeed {
                 dead_reckoning: DeadReckoning::new(
                     options.track_m.filter(|_| options.imu.is_none()),
                 ),
-                position: None,
+                wheels: LiveWheels::new(options),
                 gravity: GravityEstimate::default(),
+                gyro_sign: 1f64.copysign(options.gyro_scale),
             },
             (None, None) => FeedSource::Poses,
         };
@@ -60,20 +64,18 @@ impl PoseFeed {
                 poses.iter().for_each(&mut push);
                 *used_up_to_ns = poses.last().map_or(*used_up_to_ns, |pose| pose.stamp_ns);
             }
-            FeedSource::Wheels { dead_reckoning, position, gravity } => {
-                let positions: Vec<_> =
-                    position.iter().chain(&next.wheel_positions).copied().collect();
-                *position = positions.last().copied();
-                let speeds = WheelSample::from_positions(&positions);
-                (next.wheel_speeds.iter().chain(&speeds))
-                    .for_each(|&wheels| dead_reckoning.add_wheels(wheels));
+            FeedSource::Wheels { dead_reckoning, wheels, gravity, gyro_sign } => {
+                wheels
+                    .advance(next)
+                    .into_iter()
+                    .for_each(|sample| dead_reckoning.add_wheels(sample));
                 for inertial in next.imu.iter().map(|reading| reading.inertial) {
                     if let Some(acceleration) = inertial.acceleration_m_s2 {
                         gravity.add(acceleration);
                     }
                     let rates = inertial.angular_velocity_rad_s.iter().zip(gravity.up());
-                    let yaw_rate_rad_s = rates.map(|(rate, up)| rate * up).sum();
-                    dead_reckoning.add_yaw_rate(inertial.stamp_ns, yaw_rate_rad_s);
+                    let yaw_rate_rad_s: f64 = rates.map(|(rate, up)| rate * up).sum();
+                    dead_reckoning.add_yaw_rate(inertial.stamp_ns, *gyro_sign * yaw_rate_rad_s);
                 }
                 dead_reckoning.advance().iter().for_each(push);
             }

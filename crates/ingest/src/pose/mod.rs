@@ -2,10 +2,16 @@
 
 pub(crate) mod file;
 pub(crate) mod frames;
+pub(crate) mod fusion;
 pub(crate) mod gnss;
+pub(crate) mod joint_speeds;
+pub(crate) mod joints;
 pub(crate) mod jumps;
+pub(crate) mod live_wheels;
 pub(crate) mod message;
 pub(crate) mod readings;
 pub(crate) mod recorded;
 pub(crate) mod topics;
 pub(crate) mod trajectory;
+pub(crate) mod twist;
+pub(crate) mod wheel_error;

@@ -1,7 +1,10 @@
 //! The motion measurements of a log, as its messages contain them.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
 use dataset::{LossKind, StampedPose};
-use fuse::{InertialReading, WheelSample};
+use fuse::InertialReading;
 use messages::{
     MessageType, NavSatFix, Source, read_imu, read_joint_state, read_nav_sat_fix, read_odometry,
     read_transforms,
@@ -9,8 +12,12 @@ use messages::{
 
 use crate::pose::frames::TransformHistory;
 use crate::pose::gnss;
+use crate::pose::joint_speeds::{JointReading, JointSet};
+use crate::pose::joints::{JointFault, WheelJoints};
 use crate::pose::message::{stamped_pose, undecodable, yaw_rad};
+use crate::pose::twist::OdometryReading;
 use crate::pose_options::{Frames, PoseOptions};
+use crate::wheel_options::WheelsTopic;
 
 /// The motion measurements of a log, in the order of the log.
 #[derive(Debug, Default)]
@@ -18,10 +25,12 @@ pub(crate) struct MotionReadings {
     pub(crate) poses: Vec<StampedPose>,
     pub(crate) fixes: Vec<NavSatFix>,
     pub(crate) transforms: TransformHistory,
-    /// Wheel speeds.
-    pub(crate) wheel_speeds: Vec<WheelSample>,
-    /// Wheel positions: stamp \[ns\], left and right \[m\].
-    pub(crate) wheel_positions: Vec<(i64, f64, f64)>,
+    /// Joints of the wheels.
+    pub(crate) joints: Vec<JointReading>,
+    /// Odometry messages of which the twist is used.
+    pub(crate) odometry: Vec<OdometryReading>,
+    /// Number of these messages by parent and child frame.
+    pub(crate) odometry_frames: BTreeMap<[String; 2], u64>,
     pub(crate) imu: Vec<ImuReading>,
 }
 
@@ -50,7 +59,9 @@ impl MotionReadings {
                 let imu = read_imu(source, data).map_err(undecodable)?;
                 let inertial = InertialReading {
                     stamp_ns: selected(imu.stamp_ns),
-                    angular_velocity_rad_s: imu.angular_velocity,
+                    // The sign is applied to the yaw rate, after the projection on the vertical.
+                    angular_velocity_rad_s: (imu.angular_velocity)
+                        .map(|rate| rate * options.gyro_scale.abs()),
                     acceleration_m_s2: imu.linear_acceleration,
                 };
                 let heading_rad = imu.orientation.filter(|_| options.use_heading).map(yaw_rad);
@@ -70,15 +81,17 @@ impl MotionReadings {
                     self.transforms.add(&transform, is_static)?;
                 }
             }
-            (MessageType::JointState, _) => self.add_joints(source, log_ns, data, options)?,
+            (MessageType::JointState, Some(wheels)) => {
+                self.add_joints(source, log_ns, data, wheels, options)?;
+            }
             (MessageType::Odometry, Some(_)) => {
                 let odometry = read_odometry(source, data).map_err(undecodable)?;
-                self.wheel_speeds.push(WheelSample::from_twist(
-                    selected(odometry.pose.stamp_ns),
-                    odometry.linear_velocity[0],
-                    odometry.angular_velocity[2],
-                    options.track_m.unwrap_or_default(),
-                ));
+                let frames = [odometry.frame_id.clone(), odometry.child_frame_id.clone()];
+                if options.frame_id.as_ref().is_none_or(|frame| *frame == frames[0]) {
+                    *self.odometry_frames.entry(frames).or_default() += 1;
+                    let stamp_ns = selected(odometry.pose.stamp_ns);
+                    self.odometry.push(OdometryReading::new(&odometry, stamp_ns));
+                }
             }
             _ => {
                 let mut pose = stamped_pose(source, data)?;
@@ -89,31 +102,45 @@ impl MotionReadings {
         Ok(())
     }
 
-    /// Adds the mean speed, or the mean position, of the wheels on each side. A side can have
-    /// several wheels.
+    /// Adds the wheels among the joints of a message.
     fn add_joints(
         &mut self,
         source: Source,
         log_ns: u64,
         data: &[u8],
+        wheels: &WheelsTopic,
         options: &PoseOptions,
     ) -> Result<(), LossKind> {
-        let joints = read_joint_state(source, data).map_err(|error| undecodable(source, &error))?;
-        let mean = |side: &str, values: &[f64]| {
-            let is_on_side = |joint: &String| joint.to_ascii_lowercase().contains(side);
-            let on_side = joints.names.iter().zip(values).filter(|(joint, _)| is_on_side(joint));
-            let (sum, n) = on_side.fold((0.0, 0), |(sum, n), (_, value)| (sum + value, n + 1));
-            (n > 0).then(|| sum / f64::from(n) * options.wheel_radius_m.unwrap_or(1.0))
+        let message =
+            read_joint_state(source, data).map_err(|error| undecodable(source, &error))?;
+        let names = || message.names.join(", ");
+        let found = WheelJoints::find(&message.names, wheels).map_err(|fault| match fault {
+            JointFault::None => LossKind::NoWheelJoints { joints: names() },
+            JointFault::Unequal { n_left, n_right } => {
+                let (n_left, n_right) = (n_left as u64, n_right as u64);
+                LossKind::UnequalWheelJoints { n_left, n_right, joints: names() }
+            }
+        })?;
+        let of_wheels = |values: &[f64]| -> Vec<f64> {
+            let all = found.left.iter().chain(&found.right).map(|&k| values.get(k).copied());
+            all.collect::<Option<_>>().unwrap_or_default()
         };
-        let stamp_ns = options.stamp.select(joints.stamp_ns, log_ns);
-        let both = |values: &[f64]| Some((mean("left", values)?, mean("right", values)?));
-        if let Some((left_m_s, right_m_s)) = both(&joints.velocities) {
-            self.wheel_speeds.push(WheelSample { stamp_ns, left_m_s, right_m_s });
-        } else if let Some((left_m, right_m)) = both(&joints.positions) {
-            self.wheel_positions.push((stamp_ns, left_m, right_m));
-        } else {
-            return Err(LossKind::NoWheelJoints { joints: joints.names.join(", ") });
+        let (positions, velocities) =
+            (of_wheels(&message.positions), of_wheels(&message.velocities));
+        if positions.is_empty() && velocities.is_empty() {
+            return Err(LossKind::NoWheelJoints { joints: names() });
         }
+        let joints = match self.joints.last().filter(|last| last.joints.all == message.names) {
+            Some(last) => Arc::clone(&last.joints),
+            None => Arc::new(JointSet {
+                naming: found.naming,
+                wheels: found.names(&message.names),
+                n_left: found.left.len(),
+                all: message.names,
+            }),
+        };
+        let stamp_ns = options.stamp.select(message.stamp_ns, log_ns);
+        self.joints.push(JointReading { stamp_ns, joints, positions, velocities });
         Ok(())
     }
 
@@ -123,8 +150,11 @@ impl MotionReadings {
         let before = self.poses.len().saturating_sub(1);
         self.poses.extend(later.poses);
         self.fixes.extend(later.fixes);
-        self.wheel_speeds.extend(later.wheel_speeds);
-        self.wheel_positions.extend(later.wheel_positions);
+        self.joints.extend(later.joints);
+        self.odometry.extend(later.odometry);
+        for (frames, n) in later.odometry_frames {
+            *self.odometry_frames.entry(frames).or_default() += n;
+        }
         self.imu.extend(later.imu);
         let steps = self.poses[before.min(self.poses.len())..].windows(2);
         steps.filter(|pair| pair[1].stamp_ns < pair[0].stamp_ns).count() as u64
@@ -167,25 +197,27 @@ mod tests {
         };
         let bytes = ros::write_joint_state(Encoding::Cdr, "base", &joints);
         let source = Source { message_type: MessageType::JointState, encoding: Encoding::Cdr };
-        let options = PoseOptions { wheel_radius_m: Some(0.5), ..PoseOptions::default() };
+        let options = PoseOptions { wheels: Some("/wheels".into()), ..PoseOptions::default() };
         readings.add("/wheels", source, 9, &bytes, &options)
     }
 
     #[test]
-    fn the_speed_of_a_side_is_the_mean_of_its_wheels() {
+    fn the_wheels_of_a_message_are_read() {
         let mut readings = MotionReadings::default();
         let names = ["rear_Right", "front_left", "rear_left", "front_Right"];
         add_joints(&mut readings, &names, &[4.0, 1.0, 2.0, 6.0], &[]).unwrap();
-        let sample = readings.wheel_speeds[0];
-        assert_eq!((sample.stamp_ns, sample.left_m_s, sample.right_m_s), (7, 0.75, 2.5));
-    }
-
-    #[test]
-    fn positions_are_used_if_there_are_no_velocities() {
-        let mut readings = MotionReadings::default();
-        add_joints(&mut readings, &["left", "right"], &[], &[1.0, 3.0]).unwrap();
-        assert_eq!(readings.wheel_positions, [(7, 0.5, 1.5)]);
-        assert!(readings.wheel_speeds.is_empty());
+        add_joints(&mut readings, &names, &[], &[4.0, 1.0, 2.0, 6.0]).unwrap();
+        let [first, second] = readings.joints.as_slice() else { panic!("{readings:?}") };
+        assert_eq!(
+            (first.velocities.as_slice(), first.positions.len()),
+            (&[1.0, 2.0, 4.0, 6.0][..], 0)
+        );
+        assert_eq!(second.positions, [1.0, 2.0, 4.0, 6.0]);
+        assert_eq!(
+            first.joints.wheels,
+            ["`front_left`, `rear_left`", "`rear_Right`, `front_Right`"]
+        );
+        assert!(Arc::ptr_eq(&first.joints, &second.joints));
     }
 
     #[test]

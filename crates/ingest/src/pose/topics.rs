@@ -37,7 +37,7 @@ impl PoseTopics {
         };
         let imu = options.imu.as_ref();
         Ok(Self::Wheels {
-            wheels: drive.topic(wheels, "ingest.pose.wheels", &WHEEL_TYPES)?,
+            wheels: drive.topic(&wheels.topic, "ingest.pose.wheels", &WHEEL_TYPES)?,
             imu: imu.map(|imu| drive.topic(imu, "ingest.pose.imu", &IMU_TYPES)).transpose()?,
         })
     }

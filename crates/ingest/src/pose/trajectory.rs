@@ -4,14 +4,14 @@
 //! fused from wheels and an IMU.
 
 use dataset::{Loss, LossKind, Losses, Note, NoteKind, Pose2, StampedPose, Subject, Trajectory};
-use fuse::{FuseError, Fused, ImuSample, InertialReading, WheelSample};
 use messages::NavSatFix;
 
 use crate::error::IngestError;
 use crate::pose::frames::{LookupError, TransformHistory};
+use crate::pose::fusion::{FusedTopics, fused_poses};
 use crate::pose::gnss;
 use crate::pose::jumps::jumps;
-use crate::pose::readings::{ImuReading, MotionReadings};
+use crate::pose::readings::MotionReadings;
 use crate::pose::topics::PoseTopics;
 use crate::pose_options::{Frames, Origin, PoseOptions};
 
@@ -41,7 +41,11 @@ pub(crate) fn trajectory(
         (PoseTopics::Frames(_), Some(frames)) => {
             source.poses_from_transforms(&readings.transforms, frames, losses, notes)?
         }
-        (PoseTopics::Wheels { .. }, _) => source.fused_poses(&readings, losses, notes)?,
+        (PoseTopics::Wheels { imu, .. }, _) => {
+            let imu = imu.as_ref().map(|imu| imu.name.as_str());
+            let topics = FusedTopics { path: source.path, wheels: main_topic, imu };
+            fused_poses(&readings, &topics, options, losses, notes)?
+        }
         _ => match readings.fixes.first() {
             Some(first) => {
                 let origin = options.origin.unwrap_or(gnss::origin(first));
@@ -83,27 +87,6 @@ impl PoseSource<'_> {
         Ok(poses)
     }
 
-    /// Poses fused from wheels and an IMU.
-    fn fused_poses(
-        &self,
-        readings: &MotionReadings,
-        losses: &mut Losses,
-        notes: &mut Vec<Note>,
-    ) -> Result<Vec<StampedPose>, IngestError> {
-        let fused = fuse_readings(readings, self.options).map_err(|source| IngestError::Fuse {
-            path: self.path.to_owned(),
-            topic: self.topics.main().name.clone(),
-            source,
-        })?;
-        notes.extend(notes_of_fusion(&fused.report).into_iter().map(Note::from));
-        losses.merge(fused.report.losses);
-        let poses = fused.poses.iter().map(|fused| StampedPose {
-            covariance: Some(fused.covariance),
-            ..StampedPose::new(fused.stamp_ns, fused.pose)
-        });
-        Ok(poses.collect())
-    }
-
     fn no_poses(&self, losses: &Losses) -> IngestError {
         let topic = self.topics.main().name.clone();
         IngestError::NoPoses { path: self.path.to_owned(), topic, losses: losses.clone() }
@@ -128,23 +111,6 @@ impl PoseSource<'_> {
             source,
         }
     }
-}
-
-/// Fuses wheels and IMU to poses of the robot.
-fn fuse_readings(readings: &MotionReadings, options: &PoseOptions) -> Result<Fused, FuseError> {
-    let mut wheels = readings.wheel_speeds.clone();
-    wheels.extend(WheelSample::from_positions(&readings.wheel_positions));
-    let inertial: Vec<InertialReading> =
-        readings.imu.iter().map(|reading| reading.inertial).collect();
-    let yaw_rates = fuse::yaw_rates_rad_s(&inertial, &wheels);
-    let sample = |(reading, yaw_rate_rad_s): (&ImuReading, f64)| ImuSample {
-        stamp_ns: reading.inertial.stamp_ns,
-        yaw_rate_rad_s,
-        heading_rad: reading.heading_rad,
-    };
-    let imu: Vec<ImuSample> = readings.imu.iter().zip(yaw_rates).map(sample).collect();
-    let start = options.start.map(|start| start.pose());
-    fuse::fuse(&options.fuse_options(), &wheels, &imu, start, None)
 }
 
 /// The pose of the lidar, `map_from_lidar = map_from_base * base_from_lidar`, with its covariance.
@@ -179,79 +145,9 @@ fn note_of_fixes(fixes: &[NavSatFix], origin: &Origin) -> NoteKind {
     }
 }
 
-fn notes_of_fusion(report: &fuse::Report) -> Vec<NoteKind> {
-    let mut notes = vec![NoteKind::PosesFused {
-        n_wheel_samples: report.n_wheel_samples as u64,
-        n_imu_samples: report.n_imu_samples as u64,
-        distance_m: report.distance_m,
-        still_share: report.still_share,
-        track_m: report.track_m.value,
-        track_std_m: report.track_m.std,
-        gyro_bias_rad_s: report.gyro_bias_mean_rad_s,
-    }];
-    if report.n_headings > 0 {
-        notes.push(NoteKind::HeadingsUsed {
-            n_headings: report.n_headings,
-            n_outliers: report.n_heading_outliers,
-        });
-    }
-    if report.n_turn_outliers > 0 {
-        notes.push(NoteKind::WheelSlip { secs: report.n_turn_outliers });
-    }
-    for (gaps, sensor) in [(report.wheel_gaps, "wheel"), (report.imu_gaps, "imu")] {
-        if gaps.n > 0 {
-            let (sensor, n_gaps) = (sensor.to_owned(), gaps.n as u64);
-            notes.push(NoteKind::SampleGaps { sensor, n_gaps, secs: gaps.secs });
-        }
-    }
-    notes
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn options() -> PoseOptions {
-        PoseOptions {
-            wheels: Some("/wheels".to_owned()),
-            imu: Some("/imu".to_owned()),
-            track_m: Some(0.5),
-            ..PoseOptions::default()
-        }
-    }
-
-    /// A quarter turn in 10 s with a radius of 2 m, which ends at (2, 2) with heading 90 deg. The
-    /// IMU is mounted upside down, so the direction up is its -z axis.
-    #[test]
-    fn wheels_and_an_imu_upside_down_are_fused_to_an_arc() {
-        let yaw_rate = std::f64::consts::FRAC_PI_2 / 10.0;
-        let mut readings = MotionReadings::default();
-        for k in 0..=1000i64 {
-            let stamp_ns = k * 10_000_000;
-            let inertial = InertialReading {
-                stamp_ns,
-                angular_velocity_rad_s: [0.0, 0.0, -yaw_rate],
-                acceleration_m_s2: Some([0.0, 0.0, -9.81]),
-            };
-            readings.imu.push(ImuReading { inertial, heading_rad: None });
-            let (left_m_s, right_m_s) = (yaw_rate * 1.75, yaw_rate * 2.25);
-            readings.wheel_speeds.push(WheelSample { stamp_ns, left_m_s, right_m_s });
-        }
-        let fused = fuse_readings(&readings, &options()).unwrap();
-        let end = fused.poses.last().unwrap();
-        assert!((end.pose.x_m - 2.0).abs() < 0.01 && (end.pose.y_m - 2.0).abs() < 0.01, "{end:?}");
-        assert!((end.pose.heading_rad - std::f64::consts::FRAC_PI_2).abs() < 0.01);
-    }
-
-    #[test]
-    fn wheel_positions_are_converted_to_speeds() {
-        let mut readings = MotionReadings::default();
-        for k in 0..=100i64 {
-            readings.wheel_positions.push((k * 100_000_000, 0.1 * k as f64, 0.1 * k as f64));
-        }
-        let fused = fuse_readings(&readings, &options()).unwrap();
-        assert!((fused.report.distance_m - 9.9).abs() < 0.01, "{}", fused.report.distance_m);
-    }
 
     /// A lidar 2 m in front of a robot with heading 90 deg: an error of the heading of 0.1 rad
     /// moves the lidar by 0.2 m along -x. With independent standard deviations of 0.3 m, 0.4 m and

@@ -1,12 +1,12 @@
 //! Surveys a drive: reads all messages and summarizes each topic.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use dataset::{Loss, LossKind, Losses, StampedPose, Subject, Trajectory};
 use messages::hdl32e::{self, BLOCKS, HORIZONTAL_LASER, HOUR_US, LASERS, Packet, ReturnMode};
 use messages::{
-    MessageType, NavSatFix, Source, read_laser_scan, read_nav_sat_fix, read_transforms,
-    read_velodyne,
+    FrameIds, MessageType, NavSatFix, Source, read_frame_ids, read_joint_state, read_laser_scan,
+    read_nav_sat_fix, read_transforms, read_velodyne,
 };
 use rayon::prelude::*;
 
@@ -18,11 +18,12 @@ use crate::mcap::definitions::Channel;
 use crate::mcap::log::Log;
 use crate::options::LidarOptions;
 use crate::pose::gnss;
+use crate::pose::joints::wheels_of_topic;
 use crate::pose::message::{stamped_pose, undecodable};
 use crate::scan::cloud::Rings;
 use crate::survey::report::{
-    ClockSurvey, CloudsSurvey, Content, PacketsSurvey, PosesSurvey, ScansSurvey, Survey,
-    TopicSurvey, TransformSurvey,
+    ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey,
+    ScansSurvey, Survey, TopicSurvey, TransformSurvey,
 };
 use crate::types::{FRAME_TYPES, LIDAR_TYPES, POSE_TYPES};
 use crate::velodyne::device_clock::device_gap_us;
@@ -97,11 +98,37 @@ struct Found {
     foreign: BTreeMap<&'static str, u64>,
     poses: Vec<StampedPose>,
     fixes: Vec<NavSatFix>,
-    /// Number of samples of each transform, by parent and child.
-    transforms: BTreeMap<(String, String), u64>,
+    /// The names in each kind of `JointState` message.
+    joints: BTreeSet<Vec<String>>,
+    /// The transforms, by parent and child.
+    transforms: BTreeMap<(String, String), FoundTransform>,
+    /// Number of messages by frame and child frame.
+    frames: BTreeMap<(String, String), u64>,
     scans: Option<ScansSurvey>,
     rings: Rings,
     losses: Losses,
+}
+
+/// The samples of one transform.
+#[derive(Clone, Copy)]
+struct FoundTransform {
+    n_samples: u64,
+    first: Value,
+    is_constant: bool,
+}
+
+/// Translation and rotation.
+type Value = ([f64; 3], [f64; 4]);
+
+impl FoundTransform {
+    fn new(first: Value) -> Self {
+        Self { n_samples: 0, first, is_constant: true }
+    }
+
+    fn add(&mut self, other: Self) {
+        self.n_samples += other.n_samples;
+        self.is_constant &= other.is_constant && self.first == other.first;
+    }
 }
 
 /// Reads the messages of a piece.
@@ -134,8 +161,28 @@ impl Found {
         self.log_times = Some((first.min(time), last.max(time)));
         let Some(source) = source else { return };
         self.source = Some(source);
+        self.add_frames(source, data);
         if let Err(kind) = self.add_content(source, data) {
             self.losses.add(Loss::new(kind, Subject::topic(topic)), 1);
+        }
+    }
+
+    /// Counts the message in its frame. A message that cannot be decoded is counted with its content.
+    fn add_frames(&mut self, source: Source, data: &[u8]) {
+        let Ok(Some(FrameIds { frame_id, child_frame_id })) = read_frame_ids(source, data) else {
+            return;
+        };
+        // Most messages of a topic are in the same frame: it is looked up without allocation.
+        let known = self
+            .frames
+            .iter_mut()
+            .find(|((frame, child), _)| *frame == frame_id && *child == child_frame_id);
+        match known {
+            Some((_, n)) => *n += 1,
+            None => {
+                let names = (frame_id.into_owned(), child_frame_id.into_owned());
+                self.frames.insert(names, 1);
+            }
         }
     }
 
@@ -155,7 +202,16 @@ impl Found {
             MessageType::Tf | MessageType::FoxgloveFrameTransform => {
                 for transform in read_transforms(source, data).map_err(undecodable)? {
                     let names = (transform.parent, transform.child);
-                    *self.transforms.entry(names).or_default() += 1;
+                    let value = (transform.translation, transform.rotation);
+                    let found = FoundTransform { n_samples: 1, ..FoundTransform::new(value) };
+                    let of_names = self.transforms.entry(names);
+                    of_names.or_insert(FoundTransform::new(value)).add(found);
+                }
+            }
+            MessageType::JointState => {
+                let names = read_joint_state(source, data).map_err(undecodable)?.names;
+                if !self.joints.contains(&names) && self.joints.len() < MAX_JOINT_KINDS {
+                    self.joints.insert(names);
                 }
             }
             MessageType::NavSatFix => {
@@ -222,8 +278,12 @@ impl Found {
         }
         self.poses.extend(other.poses);
         self.fixes.extend(other.fixes);
-        for (names, n) in other.transforms {
-            *self.transforms.entry(names).or_default() += n;
+        for (names, found) in other.transforms {
+            let of_names = self.transforms.entry(names);
+            of_names.or_insert(FoundTransform::new(found.first)).add(found);
+        }
+        for (names, n) in other.frames {
+            *self.frames.entry(names).or_default() += n;
         }
         if let Some(scans) = other.scans {
             let merged = self.scans.get_or_insert_with(|| scans.clone());
@@ -231,6 +291,7 @@ impl Found {
                 (merged.n_beams.0.min(scans.n_beams.0), merged.n_beams.1.max(scans.n_beams.1));
             merged.coverage_deg = merged.coverage_deg.max(scans.coverage_deg);
         }
+        self.joints.extend(other.joints);
         self.rings.merge(other.rings);
         self.losses.merge(other.losses);
     }
@@ -261,7 +322,13 @@ impl Gathered {
         let message_type = source.map(|source| source.message_type);
         let content = self.content(message_type);
         losses.merge(self.found.losses.on_topic(&topic));
-        TopicSurvey { topic, schema, encoding, n_messages, rate_hz, content }
+        let frame = |((frame_id, child_frame_id), n_messages)| FrameSurvey {
+            frame_id,
+            child_frame_id,
+            n_messages,
+        };
+        let frames = self.found.frames.into_iter().map(frame).collect();
+        TopicSurvey { topic, schema, encoding, n_messages, rate_hz, frames, content }
     }
 
     /// Summarizes the messages. Takes the poses, transforms and scans.
@@ -284,18 +351,29 @@ impl Gathered {
                 }
                 let (trajectory, n_duplicates) = Trajectory::new(std::mem::take(&mut found.poses));
                 found.losses.add(LossKind::DuplicatePoseStamps, n_duplicates as u64);
-                Content::Poses(poses_survey(&trajectory))
+                Content::Poses(poses_survey(trajectory))
             }
             Some(tf) if FRAME_TYPES.contains(&tf) => {
                 let transforms = std::mem::take(&mut found.transforms).into_iter();
-                let survey =
-                    |((parent, child), n_samples)| TransformSurvey { parent, child, n_samples };
+                let survey = |((parent, child), found): (_, FoundTransform)| TransformSurvey {
+                    parent,
+                    child,
+                    n_samples: found.n_samples,
+                    is_constant: found.is_constant,
+                };
                 Content::Transforms(transforms.map(survey).collect())
+            }
+            Some(MessageType::JointState) => {
+                let [joints, left, right] = wheels_of_topic(&found.joints);
+                Content::Joints(JointsSurvey { joints, left, right })
             }
             _ => Content::Other,
         }
     }
 }
+
+/// Different kinds of `JointState` messages of a topic. More than this are not collected.
+const MAX_JOINT_KINDS: usize = 100;
 
 /// A device clock with a smaller offset agrees with the host clock \[s\]. GPS receivers and hosts with
 /// NTP agree better. A free-running clock is that close by chance once in 900 times.
@@ -426,7 +504,7 @@ fn packets_survey(packets: Option<PacketCounts>, found: &mut Found) -> Option<Pa
     })
 }
 
-fn poses_survey(trajectory: &Trajectory) -> PosesSurvey {
+fn poses_survey(trajectory: Trajectory) -> PosesSurvey {
     let poses = trajectory.poses();
     let extent = |along: fn(&StampedPose) -> f64| {
         let (least, most) = poses
@@ -445,5 +523,6 @@ fn poses_survey(trajectory: &Trajectory) -> PosesSurvey {
             .map(|(a, b)| b.stamp_ns.saturating_sub(a.stamp_ns) as f64 * 1e-9)
             .fold(0.0, f64::max),
         extent_m: (extent(|p| p.pose.x_m), extent(|p| p.pose.y_m)),
+        trajectory,
     }
 }

@@ -1,6 +1,6 @@
 //! The result of a survey.
 
-use dataset::Losses;
+use dataset::{Losses, Trajectory};
 use messages::hdl32e::{self, HORIZONTAL_LASER, LASERS};
 use serde::Serialize;
 
@@ -37,8 +37,22 @@ pub struct TopicSurvey {
     pub n_messages: u64,
     /// Mean message rate \[Hz\].
     pub rate_hz: Option<f64>,
+    /// The frames in the headers of the messages, in order of their names. Empty for types without a
+    /// header.
+    pub frames: Vec<FrameSurvey>,
     /// Summary of the messages.
     pub content: Content,
+}
+
+/// The messages of a topic in one frame.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct FrameSurvey {
+    /// The frame of the data, `header.frame_id`. Empty if the messages do not name it.
+    pub frame_id: String,
+    /// The frame that moves, for `Odometry`; empty otherwise.
+    pub child_frame_id: String,
+    /// Number of messages.
+    pub n_messages: u64,
 }
 
 /// Summary of the messages of a topic.
@@ -55,6 +69,8 @@ pub enum Content {
     Poses(PosesSurvey),
     /// Transforms between frames, in order of the frame names.
     Transforms(Vec<TransformSurvey>),
+    /// Joints.
+    Joints(JointsSurvey),
     /// Anything else.
     Other,
 }
@@ -174,6 +190,20 @@ pub struct PosesSurvey {
     pub widest_gap_s: f64,
     /// Extent along x and y \[m\].
     pub extent_m: (f64, f64),
+    /// The poses.
+    #[serde(skip)]
+    pub trajectory: Trajectory,
+}
+
+/// Joints.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct JointsSurvey {
+    /// All joints of the topic, in alphabetical order.
+    pub joints: Vec<String>,
+    /// The joints that are used as wheels on the left, if there are wheels on both sides.
+    pub left: Vec<String>,
+    /// The same on the right.
+    pub right: Vec<String>,
 }
 
 /// One transform of a topic.
@@ -185,4 +215,6 @@ pub struct TransformSurvey {
     pub child: String,
     /// Number of samples.
     pub n_samples: u64,
+    /// Whether all samples are equal: the frames do not move against each other.
+    pub is_constant: bool,
 }

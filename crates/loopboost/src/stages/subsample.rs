@@ -1,14 +1,16 @@
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{Provenance, read_poses, write_keyframes};
-use dataset::{Keyframe, Loss, LossKind, Losses, Subject, Trajectory};
+use dataset::{Keyframe, Loss, LossKind, Losses, Note, Subject, Trajectory};
 use subsample::{Candidate, SubsampleError};
 
 use crate::findings::Findings;
 use crate::logs::LogFile;
 use crate::run::{Done, Run};
+use crate::site_frames::{Start, unshared_frames};
 use crate::stage::{Artifact, Stage, sites};
 use crate::summary::Summary;
 
@@ -27,11 +29,17 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
     let mut done = Done::default();
     let mut keyframes = Vec::new();
     let mut failed: Vec<(SubsampleError, &LogFile)> = Vec::new();
+    let mut starts: BTreeMap<String, Vec<Start>> = BTreeMap::new();
     for log in logs {
         let (trajectory, _) = read_poses(&run.poses(&log.name))?;
         let site: Arc<str> = sites[&*log.name].as_str().into();
         match keyframes_of(run, log, &site, &trajectory)? {
             Ok((of_log, losses)) => {
+                starts.entry(site.to_string()).or_default().extend(shared_start(
+                    run,
+                    &log.name,
+                    &trajectory,
+                )?);
                 done.summaries.push(Summary::Subsampled {
                     log: log.name.to_string(),
                     n_keyframes: of_log.len() as u64,
@@ -64,10 +72,20 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
         let kind = LossKind::LogLeftOut { error: error.code().to_owned() };
         done.losses.add(Loss::new(kind, Subject::log(&*log.name)), 1);
     }
+    done.notes = unshared_frames(&starts).into_iter().map(Note::from).collect();
     let path = run.path_of(Artifact::Keyframes);
-    write_keyframes(&path, &Provenance { losses: done.losses.clone(), ..provenance }, &keyframes)?;
+    let (losses, notes) = (done.losses.clone(), done.notes.clone());
+    write_keyframes(&path, &Provenance { losses, notes, ..provenance }, &keyframes)?;
     done.outputs.push(path);
     Ok(done)
+}
+
+/// Where the trajectory of a log starts. `None` if the pipeline states it: the user has then placed the
+/// log in the map frame of the site.
+fn shared_start(run: &Run, log: &str, trajectory: &Trajectory) -> Result<Option<Start>> {
+    let pose = run.config.for_log(log)?.pose;
+    let is_stated = pose.is_some_and(|pose| pose.start.is_some() || pose.origin.is_some());
+    Ok(Start::of(log, trajectory).filter(|_| !is_stated))
 }
 
 /// The keyframes of a log, or why it has none.
