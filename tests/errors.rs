@@ -334,10 +334,12 @@ fn two_logs_with_one_name_and_options_of_an_unknown_log_are_errors() {
     let workplace = workplace(&PIPELINE.replace("[\"a.mcap\"]", "[\"a.mcap\", \"b\"]"));
     fs::create_dir(workplace.path("b")).unwrap();
     fs::write(workplace.path("b/a.mcap"), log(5)).unwrap();
-    workplace
-        .command("ingest", "out", &[])
-        .expect(1)
-        .says(&["two logs are named `a`", "rename one"]);
+    workplace.command("ingest", "out", &[]).expect(2).says(&[
+        "two logs are named `a`",
+        "a.mcap and ",
+        "b/a.mcap",
+        "rename one",
+    ]);
     let stray = format!("{PIPELINE}\n[ingest.log.c]\nsite = \"x\"\n");
     self::workplace(&stray)
         .command("ingest", "out", &[])

@@ -13,6 +13,7 @@ mod errors;
 mod evidence;
 mod faults_import;
 mod faults_labels;
+mod faults_program;
 mod import;
 mod made;
 mod made_clouds;

@@ -38,6 +38,9 @@ codes! {
             /// Its error.
             error: String,
         } => "`{stage}` refuses the suggested pipeline: {error}";
+        /// The pipeline has no source of poses for the log.
+        Info "no_pose_source" NoPoseSource
+            => "no poses: the pipeline has no `ingest.pose`; without poses, the scans cannot be labelled";
         /// Two pose topics of a log disagree in extent or revisits.
         Warning "pose_topics_disagree" PoseTopicsDisagree {
             /// The other topic. The subject is the topic that the pipeline uses.

@@ -363,9 +363,49 @@ fn merge(base: &mut Table, over: &Table) {
     }
 }
 
+/// Names that are less similar than this are not suggested. A missing or an exchanged letter, and a
+/// missing unit at the end, give 0.9 or more; unrelated names give 0.4 to 0.7.
+const MIN_SIMILARITY: f64 = 0.8;
+
+/// What `serde` calls the types of values, and what people call them.
+const TYPE_NAMES: [(&str, &str); 22] = [
+    ("invalid type: ", "found "),
+    ("invalid value: ", "found "),
+    ("found string ", "found the text "),
+    ("found integer ", "found the number "),
+    ("found floating point ", "found the number "),
+    ("found boolean ", "found "),
+    ("found map", "found a section"),
+    ("found sequence", "found a list"),
+    ("expected f64", "expected a number"),
+    ("expected f32", "expected a number"),
+    ("expected usize", "expected a whole number, 0 or more"),
+    ("expected u8", "expected a whole number, 0 or more"),
+    ("expected u16", "expected a whole number, 0 or more"),
+    ("expected u32", "expected a whole number, 0 or more"),
+    ("expected u64", "expected a whole number, 0 or more"),
+    ("expected i64", "expected a whole number"),
+    ("expected a string", "expected text in quotes"),
+    ("expected a boolean", "expected true or false"),
+    ("expected a sequence", "expected a list"),
+    ("expected a map", "expected a section"),
+    ("expected struct ", "expected a section: "),
+    ("expected path string", "expected text in quotes"),
+];
+
+/// The message of a wrong type in plain words.
+fn in_plain_words(message: &str) -> String {
+    if !message.starts_with("invalid type: ") && !message.starts_with("invalid value: ") {
+        return message.to_owned();
+    }
+    let replace = |text: String, (from, to): &(&str, &str)| text.replace(from, to);
+    TYPE_NAMES.iter().fold(message.to_owned(), replace)
+}
+
 /// A TOML error with its place and, for an unknown key or name, the most similar known one.
 fn explain(place: &Path, error: &toml::de::Error) -> anyhow::Error {
-    let mut text = format!("{}: {}", place.display(), error.to_string().trim_end());
+    let described = error.to_string().replace(error.message(), &in_plain_words(error.message()));
+    let mut text = format!("{}: {}", place.display(), described.trim_end());
     let message = error.message();
     if let Some(known) =
         message.split("expected one of ").nth(1).or(message.split("expected ").nth(1))
@@ -375,7 +415,9 @@ fn explain(place: &Path, error: &toml::de::Error) -> anyhow::Error {
         let nearest = known.split('`').skip(1).step_by(2).max_by(|a, b| {
             strsim::jaro_winkler(unknown, a).total_cmp(&strsim::jaro_winkler(unknown, b))
         });
-        if let Some(nearest) = nearest {
+        if let Some(nearest) = nearest
+            && MIN_SIMILARITY <= strsim::jaro_winkler(unknown, nearest)
+        {
             text.push_str(&format!("\nhint: did you mean `{nearest}`?"));
         }
     }
@@ -437,6 +479,30 @@ mod tests {
         );
         let message = error("[ingest.log.a.lidar]\nrange_max = 9.0\n", &[]);
         assert!(message.contains("did you mean `range_max_m`?"), "{message}");
+    }
+
+    #[test]
+    fn a_name_that_is_not_similar_is_not_suggested() {
+        assert!(!error("frobnicate = 3\n", &[]).contains("did you mean"));
+        assert!(!error("[label]\nx = 3\n", &[]).contains("did you mean"));
+    }
+
+    #[test]
+    fn a_wrong_type_is_explained_in_plain_words() {
+        let radius = error("[label]\npositive_radius_m = \"2\"\n", &[]);
+        assert!(radius.contains("found the text \"2\", expected a number"), "{radius}");
+        let pairs = error("[label]\npairs_per_class = -3\n", &[]);
+        assert!(
+            pairs.contains("found the number `-3`, expected a whole number, 0 or more"),
+            "{pairs}"
+        );
+        let pairs = error("", &["label.pairs_per_class=1.5"]);
+        assert!(pairs.contains("found the number `1.5`, expected a whole number"), "{pairs}");
+        let logs = error("[ingest]\nlogs = \"a.mcap\"\n", &[]);
+        assert!(logs.contains("found the text \"a.mcap\", expected a list"), "{logs}");
+        for message in [radius, pairs, logs] {
+            assert!(!message.contains("invalid type") && !message.contains("f64"), "{message}");
+        }
     }
 
     #[test]

@@ -67,6 +67,17 @@ fn print_branch(
     }
 }
 
+/// The first names, and how many there are more.
+fn named<'a>(names: impl ExactSizeIterator<Item = &'a String>) -> String {
+    const MAX_NAMED: usize = 3;
+    let more = names.len().saturating_sub(MAX_NAMED);
+    let first: Vec<&str> = names.take(MAX_NAMED).map(String::as_str).collect();
+    match more {
+        0 => first.join(", "),
+        n => format!("{} and {n} more files", first.join(", ")),
+    }
+}
+
 /// The path of an input, from its name in the run folder. The run folder is a parent of the artifact.
 fn find_input(artifact: &Path, name: &str) -> Option<PathBuf> {
     artifact.ancestors().skip(1).map(|folder| folder.join(name)).find(|path| path.is_file())
@@ -156,10 +167,9 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
             } else {
                 n_checked += 1;
                 if now.as_ref() != Some(digest) {
-                    let outputs: Vec<&str> = record.outputs.keys().map(String::as_str).collect();
                     problems.push(format!(
                         "{name} changed after `{task}` read it to write {}",
-                        outputs.join(", ")
+                        named(record.outputs.keys())
                     ));
                 }
             }

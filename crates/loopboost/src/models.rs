@@ -77,6 +77,14 @@ pub(crate) fn export(path: &Path, onnx: &Path, threshold: f64) -> Result<()> {
     if !threshold.is_finite() {
         return Err(anyhow!("--threshold is {threshold}, expected a finite number"));
     }
+    let folder = onnx.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        return Err(anyhow!(
+            "cannot write {}: the folder {} does not exist; create it, or choose another file with --onnx",
+            onnx.display(),
+            folder.display()
+        ));
+    }
     write_file(onnx, &model::to_onnx(&model, threshold))?;
     out!("{} {} -> {}", model.name, model.version, onnx.display());
     Ok(())

@@ -48,7 +48,7 @@ impl Run {
         changes
     }
 
-    /// Refuses a table of the run folder that was made with other options, or from other files
+    /// Refuses a table of the run folder that was altered, that was made with other options, or from other files
     /// than those in the folder now; and the same for everything it was made from. Otherwise a
     /// stage run by its own command would store options in a model that its data were not made
     /// with.
@@ -58,6 +58,19 @@ impl Run {
         let Some(stage) = artifact.maker() else { return Ok(()) };
         if stage == Stage::Simulate || !self.fresh.borrow_mut().insert(path.to_owned()) {
             return Ok(());
+        }
+        let recorded = {
+            let tasks = &self.manifest.borrow().tasks;
+            tasks.values().find_map(|record| record.outputs.get(&name).cloned())
+        };
+        if let Some(recorded) = recorded
+            && self.digest(path)? != recorded
+        {
+            return Err(anyhow!(
+                "{} was altered after `{stage}` wrote it; run `{}` again, or `loopboost run`",
+                path.display(),
+                stage.command()
+            ));
         }
         let (_, made) = read_provenance(path)?;
         let mut stale = changes(&made.options, &self.options_of(stage, log)?);

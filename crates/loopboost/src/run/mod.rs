@@ -179,14 +179,15 @@ impl Run {
                 "`ingest.logs` is empty: name the logs, or add a [simulate] section",
             ));
         }
-        let mut seen = BTreeSet::new();
+        let mut seen: BTreeMap<&str, &LogFile> = BTreeMap::new();
         for log in &logs {
-            if !seen.insert(&log.name) {
-                return Err(anyhow!(
-                    "two logs are named `{}`, the second is {}; the name is the file stem (for a split drive, the folder) and must be unique in a run: rename one",
+            if let Some(other) = seen.insert(&log.name, log) {
+                return Err(usage(format!(
+                    "two logs are named `{}`: {} and {}; the name is the file stem (for a split drive, the folder) and must be unique in a run: rename one",
                     log.name,
-                    log.paths[0].display()
-                ));
+                    other.place(),
+                    log.place()
+                )));
             }
         }
         if self.config.evaluate.groupings.contains(&label::Grouping::Log) && logs.len() < 2 {
@@ -194,7 +195,7 @@ impl Run {
                 "`evaluate.groupings` contains `log`, which needs 2 logs or more, but the run has 1: add logs, or remove `log`",
             ));
         }
-        let is_log = |name: &&String| seen.iter().any(|log| ***log == ***name);
+        let is_log = |name: &&String| seen.contains_key(name.as_str());
         if let Some(stray) = self.config.ingest.log.keys().find(|name| !is_log(name)) {
             return Err(usage(format!(
                 "[ingest.log.{stray}]: no log of this run is named `{stray}`"

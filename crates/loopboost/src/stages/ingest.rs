@@ -159,6 +159,9 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
             files: logs.iter().map(|log| file_name(log.path())).collect(),
         });
         ingested.notes.extend(split.map(Note::from));
+        if options.pose.is_none() {
+            ingested.notes.push(NoteKind::NoPoseSource.into());
+        }
         for note in &mut ingested.notes {
             note.subject.log = Some(file.name.to_string());
         }

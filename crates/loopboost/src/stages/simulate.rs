@@ -2,10 +2,11 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::sync::Arc;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 use dataset::tables::{TableError, write_atomically};
 use simulate::{Campus, Map};
 
+use crate::config::usage;
 use crate::findings::Findings;
 use crate::run::{Done, Run, Task, progress_bar};
 use crate::stage::{Artifact, Stage};
@@ -14,7 +15,7 @@ use crate::summary::Summary;
 /// The campus of `[simulate]` -> logs/LOG.mcap
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let options = run.config.simulate.as_ref().ok_or_else(|| {
-        anyhow!("the pipeline has no [simulate] section: add one, or start with `ingest`")
+        usage("the pipeline has no [simulate] section: add one, or start with `ingest`")
     })?;
     let seed = run.config.seed;
     let (campus, inputs) = match &options.map {
