@@ -188,7 +188,8 @@ fn with_stamps(stamps: Option<(i64, i64)>, scans: &[Scan]) -> Option<(i64, i64)>
 /// The topics that the options name.
 fn topic_names(options: &Options) -> Vec<&str> {
     let pose = options.pose.iter().flat_map(|pose| {
-        let single = [&pose.topic, &pose.wheels, &pose.imu].into_iter().flatten();
+        let wheels = pose.wheels.iter().map(|wheels| &wheels.topic);
+        let single = pose.topic.iter().chain(&pose.imu).chain(wheels);
         single.chain(pose.frames.iter().flat_map(|frames| &frames.topics))
     });
     [&options.lidar.topic].into_iter().chain(pose).map(String::as_str).collect()

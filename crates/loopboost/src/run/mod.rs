@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use anyhow::{Result, anyhow};
+use anyhow::Result;
 use dataset::tables::Provenance;
 use dataset::{Loss, LossKind, Losses, Note, Subject};
 use ingest::FileState;
