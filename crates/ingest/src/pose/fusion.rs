@@ -32,6 +32,8 @@ const DEAD: f64 = 0.1;
 /// A measured heading turns less than the robot if it is below this ratio. The headings of a
 /// magnetometer at 1 Hz turn 0.4 to 0.8 times as much as the gyroscope.
 const HEADING_TURNS: f64 = 0.2;
+/// Turns with which a measured heading changes at all \[rad\].
+const SLIGHT_TURN_RAD: f64 = 0.1;
 /// Shares of the comparisons of the filter that are outliers, above which the sensors contradict
 /// each other. With noise alone it is 0.3 % at a gate of 3.
 const MANY_OUTLIERS: f64 = 0.3;
@@ -213,14 +215,19 @@ fn check_turns(
 
 /// Why the measured headings cannot be used, if they do not turn with the robot.
 fn heading_fault(turns: &TurnComparisons) -> Option<NoteKind> {
-    // The gyroscope is the better reference, if it turns.
-    let by_gyro = turns.heading_by_gyro.filter(|by| by.is_reference_resolved);
-    let by = by_gyro.or(turns.heading_by_wheels.filter(|by| by.is_reference_resolved))?;
+    // The gyroscope is the better reference, if it turns. A heading that is measured is never constant
+    // to the last bit, even in slow turns.
+    let is_constant = turns.heading_span_rad == Some(0.0);
+    let is_reference = |by: &TurnComparison| {
+        by.is_reference_resolved || (is_constant && SLIGHT_TURN_RAD < by.reference_rad)
+    };
+    let by_gyro = turns.heading_by_gyro.filter(is_reference);
+    let by = by_gyro.or(turns.heading_by_wheels.filter(is_reference))?;
     let slope = by.ratio * by.correlation.abs();
     let reference = if by_gyro.is_some() { "gyroscope" } else { "wheels" };
     let (reference, reference_rad) = (reference.to_owned(), by.reference_rad);
     let heading_rad = turns.heading_span_rad?;
-    if heading_rad == 0.0 {
+    if is_constant {
         Some(NoteKind::ConstantHeading { reference, reference_rad })
     } else if slope < -HEADING_TURNS {
         Some(NoteKind::HeadingTurnsOpposite { reference, ratio: by.ratio })
@@ -372,9 +379,8 @@ mod tests {
         fn fuse(&self) -> Result<(Vec<StampedPose>, Vec<&'static str>), IngestError> {
             let joints = Arc::new(JointSet {
                 naming: Naming::Wheel,
-                wheels: ["`left`".to_owned(), "`right`".to_owned()],
-                n_left: 1,
-                all: vec!["left".to_owned(), "right".to_owned()],
+                left: vec!["left".to_owned()],
+                right: vec!["right".to_owned()],
             });
             let mut readings = MotionReadings::default();
             for k in 0..=1200 {

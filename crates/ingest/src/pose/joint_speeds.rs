@@ -37,11 +37,10 @@ pub(crate) fn is_wrap(from_rad: f64, to_rad: f64) -> bool {
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct JointSet {
     pub(crate) naming: Naming,
-    /// The names of the wheels on the left and on the right.
-    pub(crate) wheels: [String; 2],
-    pub(crate) n_left: usize,
-    /// All joints of the message.
-    pub(crate) all: Vec<String>,
+    /// The names of the wheels on the left, in alphabetical order.
+    pub(crate) left: Vec<String>,
+    /// The names of the wheels on the right, in alphabetical order.
+    pub(crate) right: Vec<String>,
 }
 
 /// The wheels in one message: the left ones, then the right ones.
@@ -65,7 +64,7 @@ impl JointReading {
 
     /// The means of values over the wheels of each side.
     fn means(&self, values: &[f64]) -> Option<[f64; 2]> {
-        let (left, right) = values.split_at_checked(self.joints.n_left)?;
+        let (left, right) = values.split_at_checked(self.joints.left.len())?;
         let mean = |side: &[f64]| side.iter().sum::<f64>() / side.len() as f64;
         (!left.is_empty() && !right.is_empty()).then(|| [mean(left), mean(right)])
     }
@@ -96,12 +95,13 @@ pub(crate) fn joint_speeds(
         if reading.joints.naming == best {
             sets.entry(&reading.joints).or_default().push(reading);
         } else {
-            let joints = reading.joints.all.join(", ");
+            let joints =
+                [reading.joints.left.as_slice(), &reading.joints.right].concat().join(", ");
             speeds.losses.add(LossKind::NoWheelJoints { joints }, 1);
         }
     }
     for (set, readings) in &sets {
-        let [left, right] = set.wheels.clone();
+        let [left, right] = [&set.left, &set.right].map(|side| format!("`{}`", side.join("`, `")));
         let before = speeds.samples.len();
         let source = add_set(readings, options, &mut speeds)?;
         let n_messages = readings.len() as u64;
@@ -134,10 +134,14 @@ fn add_set(
         // Without a radius, the unit of the velocities can differ from that of the positions.
         positions.contradiction(readings, options.wheel_radius_m.is_some())
     });
-    match (track, contradiction) {
-        (Some(positions), contradiction)
-            if !has_velocities || contradiction.is_some() && positions.ambiguous_rad.is_none() =>
-        {
+    // Velocities that contradict ambiguous positions are better than these, unless they are 0.
+    let needs_positions = |positions: &Positions| match &contradiction {
+        None => !has_velocities,
+        Some(NoteKind::ZeroWheelVelocities { .. }) => true,
+        Some(_) => positions.ambiguous_rad.is_none(),
+    };
+    match track {
+        Some(positions) if needs_positions(positions) => {
             if let Some(found_rad) = positions.ambiguous_rad {
                 let period_s = positions.period_s;
                 return Err(WheelError::AmbiguousPositions { found_rad, period_s });
@@ -185,7 +189,7 @@ struct Positions {
 impl Positions {
     /// `None` without two messages with positions.
     fn new(readings: &[&JointReading], options: &PoseOptions) -> Option<Self> {
-        let n_left = readings.first()?.joints.n_left;
+        let n_left = readings.first()?.joints.left.len();
         let n_joints = readings.iter().map(|reading| reading.positions.len()).max()?;
         let is_complete = |reading: &&&JointReading| {
             reading.positions.len() == n_joints && reading.positions.iter().all(|p| p.is_finite())
@@ -383,9 +387,8 @@ mod tests {
     ) -> Vec<JointReading> {
         let joints = Arc::new(JointSet {
             naming,
-            wheels: ["`left`".to_owned(), "`right`".to_owned()],
-            n_left: 1,
-            all: vec!["left".to_owned(), "right".to_owned()],
+            left: vec!["left".to_owned()],
+            right: vec!["right".to_owned()],
         });
         let n = (30.0 * hz) as i64;
         (0..=n)
@@ -491,6 +494,14 @@ mod tests {
         let at_rest =
             joint_speeds(&made(&|_, _| (vec![1.0; 2], vec![0.0; 2])), &options()).unwrap();
         assert!(at_rest.samples.len() == 601 && at_rest.notes.len() == 1, "{:?}", at_rest.notes);
+    }
+
+    /// Zero velocities and positions that cannot be unwrapped: nothing is left.
+    #[test]
+    fn zero_velocities_with_ambiguous_positions_are_refused() {
+        let zero = made_at(2.0, Naming::Wheel, &|a, _| (a.map(wrapped).to_vec(), vec![0.0; 2]));
+        let error = joint_speeds(&zero, &options()).unwrap_err();
+        assert!(matches!(error, WheelError::AmbiguousPositions { .. }), "{error}");
     }
 
     /// Velocities in m/s and positions in rad: the ratio is 1 / 0.1.

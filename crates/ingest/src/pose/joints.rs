@@ -102,7 +102,7 @@ impl WheelJoints {
             let is_complete =
                 left.len() == options.left.len() && right.len() == options.right.len();
             return match is_complete {
-                true => Ok(Self { naming: Naming::Wheel, left, right }),
+                true => Ok(Self { naming: Naming::Wheel, left, right }.sorted(names)),
                 false => Err(JointFault::None),
             };
         }
@@ -121,16 +121,21 @@ impl WheelJoints {
         };
         let (left, right) = (on(Side::Left), on(Side::Right));
         match left.len() == right.len() {
-            true => Ok(Self { naming: best, left, right }),
+            true => Ok(Self { naming: best, left, right }.sorted(names)),
             false => Err(JointFault::Unequal { n_left: left.len(), n_right: right.len() }),
         }
     }
 
-    /// The names of the left joints, then of the right ones.
-    pub(crate) fn names(&self, all: &[String]) -> [String; 2] {
-        [&self.left, &self.right].map(|side| {
-            side.iter().map(|&k| format!("`{}`", all[k])).collect::<Vec<_>>().join(", ")
-        })
+    /// The same wheels in alphabetical order of their names: publishers can change the order.
+    fn sorted(mut self, names: &[String]) -> Self {
+        self.left.sort_by_key(|&k| &names[k]);
+        self.right.sort_by_key(|&k| &names[k]);
+        self
+    }
+
+    /// The names of the joints on one side.
+    pub(crate) fn names(side: &[usize], all: &[String]) -> Vec<String> {
+        side.iter().map(|&k| all[k].clone()).collect()
     }
 }
 

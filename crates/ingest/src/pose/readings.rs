@@ -130,14 +130,12 @@ impl MotionReadings {
         if positions.is_empty() && velocities.is_empty() {
             return Err(LossKind::NoWheelJoints { joints: names() });
         }
-        let joints = match self.joints.last().filter(|last| last.joints.all == message.names) {
+        let [left, right] =
+            [&found.left, &found.right].map(|side| WheelJoints::names(side, &message.names));
+        let set = JointSet { naming: found.naming, left, right };
+        let joints = match self.joints.last().filter(|last| *last.joints == set) {
             Some(last) => Arc::clone(&last.joints),
-            None => Arc::new(JointSet {
-                naming: found.naming,
-                wheels: found.names(&message.names),
-                n_left: found.left.len(),
-                all: message.names,
-            }),
+            None => Arc::new(set),
         };
         let stamp_ns = options.stamp.select(message.stamp_ns, log_ns);
         self.joints.push(JointReading { stamp_ns, joints, positions, velocities });
@@ -210,13 +208,11 @@ mod tests {
         let [first, second] = readings.joints.as_slice() else { panic!("{readings:?}") };
         assert_eq!(
             (first.velocities.as_slice(), first.positions.len()),
-            (&[1.0, 2.0, 4.0, 6.0][..], 0)
+            (&[1.0, 2.0, 6.0, 4.0][..], 0)
         );
-        assert_eq!(second.positions, [1.0, 2.0, 4.0, 6.0]);
-        assert_eq!(
-            first.joints.wheels,
-            ["`front_left`, `rear_left`", "`rear_Right`, `front_Right`"]
-        );
+        assert_eq!(second.positions, [1.0, 2.0, 6.0, 4.0]);
+        assert_eq!(first.joints.left, ["front_left", "rear_left"]);
+        assert_eq!(first.joints.right, ["front_Right", "rear_Right"]);
         assert!(Arc::ptr_eq(&first.joints, &second.joints));
     }
 

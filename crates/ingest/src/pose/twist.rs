@@ -24,6 +24,13 @@ const MAX_STEP_S: f64 = 1.0;
 /// frame ahead of the wheels moves sideways in turns, by less than this.
 const MAX_SIDEWAYS_SHARE: f64 = 0.2;
 
+/// The turns of the poses and of the twist are compared if the heading changes by more than this in
+/// the whole drive \[rad\].
+const MIN_TURN_RAD: f64 = 1.0;
+/// Turns of the poses over turns by the twist, or the inverse, from which they contradict each other.
+/// Noise of the twist lowers the ratio.
+const MAX_TURN_RATIO: f64 = 2.0;
+
 /// The pose and the twist of an odometry message in the plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct OdometryReading {
@@ -60,6 +67,14 @@ pub(crate) struct TwistEvidence {
     /// What is left of them \[m^2\].
     left_child_m2: f64,
     left_parent_m2: f64,
+    /// Sums over the steps: the squared turn by the twist, and its product with the turn of the poses
+    /// \[rad^2\].
+    turns_rad2: f64,
+    product_rad2: f64,
+    /// Turn of the poses so far, and its smallest and largest value \[rad\].
+    turned_rad: f64,
+    least_rad: f64,
+    most_rad: f64,
     /// Whether any twist is not 0.
     has_twist: bool,
 }
@@ -94,6 +109,14 @@ impl TwistEvidence {
                 dx * dx + dy * dy
             };
             let by_child = rotated(mean, step.heading_rad);
+            let turn = 0.5 * (last.yaw_rate_rad_s + next.yaw_rate_rad_s) * step.secs;
+            if turn.is_finite() {
+                self.turns_rad2 += turn * turn;
+                self.product_rad2 += turn * step.turn_rad;
+                self.turned_rad += step.turn_rad;
+                self.least_rad = self.least_rad.min(self.turned_rad);
+                self.most_rad = self.most_rad.max(self.turned_rad);
+            }
             self.steps_m2 += step.length_m() * step.length_m();
             self.left_child_m2 += left_m2(by_child);
             self.left_parent_m2 += left_m2(mean);
@@ -112,6 +135,16 @@ impl TwistEvidence {
         } else {
             TwistFrame::Neither
         }
+    }
+
+    /// Turns of the poses over turns by the twist, if they are far from 1.
+    fn wrong_turn_ratio(&self) -> Option<f64> {
+        let ratio = match self.turns_rad2 {
+            0.0 => f64::INFINITY,
+            turns_rad2 => self.product_rad2 / turns_rad2,
+        };
+        let has_turned = MIN_TURN_RAD < self.most_rad - self.least_rad;
+        (has_turned && !(1.0 / MAX_TURN_RATIO..=MAX_TURN_RATIO).contains(&ratio)).then_some(ratio)
     }
 
     /// The wheel speeds of a message, after it was added: from its twist, or, while all twists are
@@ -150,6 +183,9 @@ pub(crate) fn twist_speeds(
         let n_messages = readings.len() as u64;
         speeds.notes.push(NoteKind::ZeroTwists { n_messages });
         return Ok(speeds);
+    }
+    if let Some(ratio) = evidence.wrong_turn_ratio() {
+        return Err(WheelError::TwistTurns { ratio });
     }
     let frame = evidence.frame();
     let [parent, child] = frames.map(str::to_owned);
@@ -346,6 +382,15 @@ mod tests {
             reading.yaw_rate_rad_s = 0.0;
         });
         check(&zero, &["zero_twists"]);
+    }
+
+    /// The yaw rate is not written, has the wrong sign, or is in deg/s.
+    #[test]
+    fn a_yaw_rate_that_contradicts_the_headings_is_refused() {
+        for factor in [0.0, -1.0, 57.3] {
+            let error = speeds(&with(|reading| reading.yaw_rate_rad_s *= factor)).unwrap_err();
+            assert!(matches!(error, WheelError::TwistTurns { .. }), "{factor}: {error}");
+        }
     }
 
     /// In km/h: 1 m/s is 3.6, so 2.6 of 1 m is not explained.

@@ -51,6 +51,14 @@ pub enum WheelError {
         /// Whether the poses show that the twist is in this frame.
         is_frame_known: bool,
     },
+    /// The yaw rate of the twist contradicts the headings of the poses.
+    #[error(
+        "the headings of the poses turn {ratio:.3} times as much as `twist.angular.z` of the same messages, expected 1: the yaw rate is not written, has another sign, or is in deg/s. Set `ingest.pose.topic` to this topic to use its poses instead"
+    )]
+    TwistTurns {
+        /// Turns of the poses over turns by the twist; infinite if the twist does not turn.
+        ratio: f64,
+    },
     /// Odometry of several frames is on one topic.
     #[error(
         "the odometry comes from several publishers, with the frames {frames}; set `ingest.pose.frame_id` to the frame to use, or `ingest.pose.wheels` to another topic"
@@ -123,6 +131,7 @@ impl WheelError {
             Self::AmbiguousPositions { .. } => "ambiguous_wheel_positions",
             Self::UnknownUnit { .. } => "unknown_wheel_unit",
             Self::Sideways { .. } => "sideways_twist",
+            Self::TwistTurns { .. } => "twist_turn_contradicts_poses",
             Self::SeveralFrames { .. } => "several_odometry_frames",
             Self::OppositeTurns { .. } => "opposite_turns",
             Self::GyroInDegrees { .. } => "gyro_in_degrees",
