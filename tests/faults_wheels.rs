@@ -56,7 +56,21 @@ fn joints(
 }
 
 fn imu(encoding: Encoding, ns: i64, orientation: [f64; 4], yaw_rate: f64) -> Message {
-    let message = RosMessage::with_header(encoding, ns)
+    imu_in_frame(encoding, ns, "lidar", orientation, yaw_rate)
+}
+
+fn imu_in_frame(
+    encoding: Encoding,
+    ns: i64,
+    frame_id: &str,
+    orientation: [f64; 4],
+    yaw_rate: f64,
+) -> Message {
+    let message = RosMessage::new(encoding);
+    let message = if encoding == Encoding::Ros1 { message.u32(0) } else { message };
+    let message = message
+        .time(ns)
+        .string(frame_id)
         .f64s(&orientation)
         .f64s(&[0.0; 9])
         .f64s(&[0.0, 0.0, yaw_rate])
@@ -110,7 +124,7 @@ impl Default for Drive<'_> {
 }
 
 impl Drive<'_> {
-    fn workplace(&self) -> Workplace {
+    fn messages(&self) -> Vec<Message> {
         let mut messages = Vec::new();
         for ms in (0..=SECS * 1000).step_by(10) {
             let (ns, t) = (START_NS + ms * 1_000_000, ms as f64 * 1e-3);
@@ -124,12 +138,20 @@ impl Drive<'_> {
                 messages.push(scan(self.encoding, ns));
             }
         }
+        messages
+    }
+
+    fn pipeline(&self) -> String {
         let options = self.options;
-        let workplace = Workplace::new(&format!(
-            "[ingest]\nlogs = [\"a.mcap\"]\nlidar.topic = \"/scan\"\n[ingest.pose]\nimu = \"/imu\"\ntrack_m = {TRACK_M}\n{options}\n{}",
-            if options.contains("wheels =") { "" } else { "wheels = \"/joints\"\n" }
-        ));
-        fs::write(workplace.path("a.mcap"), log(&messages, Schema::Empty)).unwrap();
+        let wheels = if options.contains("wheels =") { "" } else { "wheels = \"/joints\"\n" };
+        format!(
+            "[ingest]\nlogs = [\"a.mcap\"]\nlidar.topic = \"/scan\"\n[ingest.pose]\nimu = \"/imu\"\ntrack_m = {TRACK_M}\n{options}\n{wheels}"
+        )
+    }
+
+    fn workplace(&self) -> Workplace {
+        let workplace = Workplace::new(&self.pipeline());
+        fs::write(workplace.path("a.mcap"), log(&self.messages(), Schema::Empty)).unwrap();
         workplace
     }
 
@@ -244,6 +266,26 @@ fn a_gyroscope_with_another_sign_or_unit_is_refused_and_can_be_scaled() {
     Drive { gyro: &reversed, options, ..Drive::default() }.ends_where_it_did(0);
     let options = "wheel_radius_m = 0.1\ngyro_scale = 0.0174533";
     Drive { gyro: &degrees, options, ..Drive::default() }.ends_where_it_did(0);
+}
+
+/// A second IMU, in another frame, writes to the same topic.
+#[test]
+fn two_imus_on_one_topic_are_refused_until_one_is_selected() {
+    let workplace = Drive::default().workplace();
+    let with_two = |options: &str| {
+        let drive = Drive { options, ..Drive::default() };
+        let mut messages = drive.messages();
+        for ms in (0..=SECS * 1000).step_by(50) {
+            let ns = START_NS + ms * 1_000_000 + 5_000_000;
+            messages.push(imu_in_frame(Encoding::Cdr, ns, "camera_imu", [0.0; 4], 0.0));
+        }
+        fs::write(workplace.path("a.mcap"), log(&messages, Schema::Empty)).unwrap();
+        fs::write(workplace.path("drive.toml"), drive.pipeline()).unwrap();
+        workplace.command("ingest", "out", &[])
+    };
+    let refused = with_two("wheel_radius_m = 0.1").expect(1);
+    refused.says(&["`camera_imu` (401 messages)", "ingest.pose.imu_frame_id"]);
+    with_two("wheel_radius_m = 0.1\nimu_frame_id = \"lidar\"").expect(0);
 }
 
 #[test]

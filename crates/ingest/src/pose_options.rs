@@ -51,6 +51,9 @@ pub struct PoseOptions {
     /// Topic with `Imu` messages.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub imu: Option<String>,
+    /// The frame (`header.frame_id`) of the `Imu` messages that are used, if several IMUs use one topic.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub imu_frame_id: Option<String>,
     /// Track width: distance between the contact points of the left and the right wheel \[m\].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub track_m: Option<f64>,
@@ -87,6 +90,7 @@ impl Default for PoseOptions {
             max_speed_m_s: 15.0,
             wheels: None,
             imu: None,
+            imu_frame_id: None,
             track_m: None,
             wheel_radius_m: None,
             wheel_speed_unit: None,

@@ -81,6 +81,12 @@ pub(crate) fn fused_poses(
     let on_wheels = |kind| Note::new(kind, Subject::topic(topics.wheels));
     notes.extend(std::mem::take(&mut wheels.notes).into_iter().map(on_wheels));
 
+    if 1 < readings.imu_frames.len() {
+        let one = |(frame, n): (&String, &u64)| format!("`{frame}` ({n} messages)");
+        let frames = readings.imu_frames.iter().map(one).collect::<Vec<_>>().join(", ");
+        let imu = topics.imu.unwrap_or_default().to_owned();
+        return Err(refuse(WheelError::SeveralImus { imu, frames }));
+    }
     let mut imu = imu_samples(readings, &wheels.samples, options);
     let fuse_options = options.fuse_options();
     let turns = fuse::compare_turns(&fuse_options, &wheels.samples, &imu).map_err(fail)?;

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use dataset::{LossKind, StampedPose};
 use fuse::InertialReading;
 use messages::{
-    MessageType, NavSatFix, Source, read_imu, read_joint_state, read_nav_sat_fix, read_odometry,
-    read_transforms,
+    MessageType, NavSatFix, Source, read_frame_ids, read_imu, read_joint_state, read_nav_sat_fix,
+    read_odometry, read_transforms,
 };
 
 use crate::pose::frames::TransformHistory;
@@ -32,6 +32,8 @@ pub(crate) struct MotionReadings {
     /// Number of these messages by parent and child frame.
     pub(crate) odometry_frames: BTreeMap<[String; 2], u64>,
     pub(crate) imu: Vec<ImuReading>,
+    /// Number of IMU messages by frame.
+    pub(crate) imu_frames: BTreeMap<String, u64>,
 }
 
 /// An IMU message.
@@ -57,6 +59,13 @@ impl MotionReadings {
         match (source.message_type, &options.wheels) {
             (MessageType::Imu, _) => {
                 let imu = read_imu(source, data).map_err(undecodable)?;
+                let frames = read_frame_ids(source, data).map_err(undecodable)?.unwrap_or_default();
+                let frame_id = frames.frame_id.as_ref();
+                if options.imu_frame_id.as_deref().is_some_and(|wanted| !is_frame(wanted, frame_id))
+                {
+                    return Ok(());
+                }
+                *self.imu_frames.entry(frame_id.to_owned()).or_default() += 1;
                 let inertial = InertialReading {
                     stamp_ns: selected(imu.stamp_ns),
                     // The sign is applied to the yaw rate, after the projection on the vertical.
@@ -87,7 +96,7 @@ impl MotionReadings {
             (MessageType::Odometry, Some(_)) => {
                 let odometry = read_odometry(source, data).map_err(undecodable)?;
                 let frames = [odometry.frame_id.clone(), odometry.child_frame_id.clone()];
-                if options.frame_id.as_ref().is_none_or(|frame| *frame == frames[0]) {
+                if options.frame_id.as_deref().is_none_or(|wanted| is_frame(wanted, &frames[0])) {
                     *self.odometry_frames.entry(frames).or_default() += 1;
                     let stamp_ns = selected(odometry.pose.stamp_ns);
                     self.odometry.push(OdometryReading::new(&odometry, stamp_ns));
@@ -154,6 +163,9 @@ impl MotionReadings {
             *self.odometry_frames.entry(frames).or_default() += n;
         }
         self.imu.extend(later.imu);
+        for (frame_id, n) in later.imu_frames {
+            *self.imu_frames.entry(frame_id).or_default() += n;
+        }
         let steps = self.poses[before.min(self.poses.len())..].windows(2);
         steps.filter(|pair| pair[1].stamp_ns < pair[0].stamp_ns).count() as u64
     }
@@ -174,6 +186,11 @@ impl MotionReadings {
             self.transforms.prune(parent, child);
         }
     }
+}
+
+/// Whether a frame is the wanted one. ROS 1 allows a leading slash.
+fn is_frame(wanted: &str, found: &str) -> bool {
+    wanted.trim_start_matches('/') == found.trim_start_matches('/')
 }
 
 #[cfg(test)]

@@ -67,6 +67,16 @@ pub enum WheelError {
         /// The frames with their counts.
         frames: String,
     },
+    /// Several IMUs use one topic.
+    #[error(
+        "topic `{imu}` has the messages of several IMUs, with the frames {frames}; set `ingest.pose.imu_frame_id` to the frame to use"
+    )]
+    SeveralImus {
+        /// The topic of the IMU.
+        imu: String,
+        /// The frames with their counts.
+        frames: String,
+    },
     /// Gyroscope and wheels turn in opposite senses.
     #[error(
         "gyroscope (topic `{imu}`) and wheels turn in opposite senses: the gyroscope turns {ratio:.2} times as much as the wheels, expected 1. Either the z axis of the gyroscope is reversed, or the left and right wheels are exchanged, or the wheels count backward. Set `ingest.pose.gyro_scale = -1` for a reversed gyroscope, name the wheels with `ingest.pose.wheels.left` and `right`, or remove `ingest.pose.imu`"
@@ -133,6 +143,7 @@ impl WheelError {
             Self::Sideways { .. } => "sideways_twist",
             Self::TwistTurns { .. } => "twist_turn_contradicts_poses",
             Self::SeveralFrames { .. } => "several_odometry_frames",
+            Self::SeveralImus { .. } => "several_imus",
             Self::OppositeTurns { .. } => "opposite_turns",
             Self::GyroInDegrees { .. } => "gyro_in_degrees",
             Self::DeadGyro { .. } => "dead_gyro",
