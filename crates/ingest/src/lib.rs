@@ -69,7 +69,7 @@ pub use stamp::Stamp;
 pub use survey::gather::survey;
 pub use survey::report::{
     ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey,
-    ScansSurvey, Survey, TopicSurvey, TransformSurvey,
+    ScansSurvey, StampSurvey, Survey, TopicSurvey, TransformSurvey,
 };
 pub use time_unit::TimeUnit;
 pub use types::{FRAME_TYPES, IMU_TYPES, LIDAR_TYPES, POSE_TYPES, WHEEL_TYPES};

@@ -160,6 +160,7 @@ fn describe(path: &Path, drive: &LogFile, survey: &Survey) {
         let rate = topic.rate_hz.map_or(String::new(), |hz| format!(", {hz:.2} Hz"));
         out!("\n{}  {}", topic.topic, kind(topic));
         out!("  {}{rate}", counted(topic.n_messages, "message"));
+        topic.stamps.lines().iter().for_each(|line| out!("  {line}"));
         match &topic.content {
             Content::Packets(packets) => print_packets(packets),
             Content::Scans(scans) => {
@@ -175,6 +176,7 @@ fn describe(path: &Path, drive: &LogFile, survey: &Survey) {
                 rings => {
                     let list = rings.iter().map(|(ring, deg)| format!("{ring} at {deg:.2}"));
                     out!("  {} rings [deg]: {}", rings.len(), list.collect::<Vec<_>>().join(", "));
+                    out!("  {}", clouds.point_times);
                 }
             },
             Content::Poses(poses) => {

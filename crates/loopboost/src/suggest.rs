@@ -252,6 +252,9 @@ fn write_frame_id(text: &mut String, key: &str, topic: &TopicSurvey) -> fmt::Res
 fn write_lidar(text: &mut String, lidar: &TopicSurvey) -> fmt::Result {
     writeln!(text, "\n[ingest.lidar]\ntopic = {:?}", lidar.topic)?;
     write_frame_id(text, "frame_id", lidar)?;
+    if lidar.stamps.needs_log_times() {
+        writeln!(text, "stamp = \"log\"   # all stamps in the headers are 0 or equal")?;
+    }
     match &lidar.content {
         Content::Packets(packets) => {
             if packets.is_stamped_by_message() {
@@ -297,7 +300,6 @@ fn relative(path: &Path, folder: &Path) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
-
     fn topic(name: &str, schema: &str, n_messages: u64, content: Content) -> TopicSurvey {
         let (topic, schema, encoding) = (name.to_owned(), schema.to_owned(), "cdr".to_owned());
         TopicSurvey {
@@ -307,6 +309,7 @@ mod tests {
             n_messages,
             rate_hz: None,
             frames: Vec::new(),
+            stamps: Default::default(),
             content,
         }
     }

@@ -15,6 +15,8 @@ pub(crate) struct TopicPiece {
     /// Stamp and log time of each message \[ns\].
     pub(crate) stamps: Vec<(i64, u64)>,
     pub(crate) frames: FrameCounts,
+    /// The frames that move, of `Odometry`.
+    pub(crate) child_frames: FrameCounts,
     /// Number of messages with the stamp 0.
     pub(crate) n_unstamped: u64,
 }
@@ -24,13 +26,12 @@ pub(crate) struct TopicPiece {
 pub(crate) struct TopicObserver {
     pub(crate) stamps: StampObserver,
     pub(crate) frames: FrameCounts,
+    pub(crate) child_frames: FrameCounts,
     pub(crate) n_unstamped: u64,
 }
 
 /// The header of a message.
 pub(crate) struct SeenHeader {
-    /// Without a leading slash. Empty if the type has no frame.
-    pub(crate) frame_id: String,
     /// Whether the stamp is 0 although the log time shows that the clock did not start at 0.
     pub(crate) is_unstamped: bool,
 }
@@ -40,22 +41,18 @@ impl TopicPiece {
     /// cannot be read.
     pub(crate) fn add(&mut self, source: Source, log_ns: u64, data: &[u8]) -> Option<SeenHeader> {
         let stamp_ns = read_stamp_ns(source, data).ok().flatten()?;
-        let frame_id = read_frame_ids(source, data).ok()?.map(|ids| ids.frame_id.into_owned());
-        if let Some(frame_id) = &frame_id {
-            self.frames.add(frame_id);
+        if let Some(ids) = read_frame_ids(source, data).ok()? {
+            self.frames.add(&ids.frame_id);
+            if !ids.child_frame_id.is_empty() {
+                self.child_frames.add(&ids.child_frame_id);
+            }
         }
         let is_unstamped = stamp_ns == 0 && FIRST_REAL_LOG_NS <= log_ns;
         match is_unstamped {
             true => self.n_unstamped += 1,
             false => self.stamps.push((stamp_ns, log_ns)),
         }
-        Some(SeenHeader { frame_id: frame_id.unwrap_or_default(), is_unstamped })
-    }
-
-    pub(crate) fn merge(&mut self, later: Self) {
-        self.stamps.extend(later.stamps);
-        self.frames.merge(later.frames);
-        self.n_unstamped += later.n_unstamped;
+        Some(SeenHeader { is_unstamped })
     }
 }
 
@@ -66,6 +63,7 @@ impl TopicObserver {
             self.stamps.add(stamp_ns, log_ns);
         }
         self.frames.merge(piece.frames);
+        self.child_frames.merge(piece.child_frames);
         self.n_unstamped += piece.n_unstamped;
     }
 }

@@ -16,6 +16,7 @@ use crate::drive::window::{PIECES_PER_THREAD, report_progress};
 use crate::mcap::chunk::{self, Buffer};
 use crate::mcap::definitions::Channel;
 use crate::mcap::log::Log;
+use crate::observe::topic::{TopicObserver, TopicPiece};
 use crate::options::LidarOptions;
 use crate::pose::gnss;
 use crate::pose::joints::wheels_of_topic;
@@ -23,7 +24,7 @@ use crate::pose::message::{stamped_pose, undecodable};
 use crate::scan::cloud::Rings;
 use crate::survey::report::{
     ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey,
-    ScansSurvey, Survey, TopicSurvey, TransformSurvey,
+    ScansSurvey, StampSurvey, Survey, TopicSurvey, TransformSurvey,
 };
 use crate::types::{FRAME_TYPES, LIDAR_TYPES, POSE_TYPES};
 use crate::velodyne::device_clock::device_gap_us;
@@ -106,6 +107,7 @@ struct Found {
     frames: BTreeMap<(String, String), u64>,
     scans: Option<ScansSurvey>,
     rings: Rings,
+    seen: TopicPiece,
     losses: Losses,
 }
 
@@ -162,6 +164,7 @@ impl Found {
         let Some(source) = source else { return };
         self.source = Some(source);
         self.add_frames(source, data);
+        self.seen.add(source, time, data);
         if let Err(kind) = self.add_content(source, data) {
             self.losses.add(Loss::new(kind, Subject::topic(topic)), 1);
         }
@@ -301,6 +304,7 @@ impl Found {
 #[derive(Default)]
 struct Gathered {
     found: Found,
+    observer: TopicObserver,
     packets: Option<PacketCounts>,
 }
 
@@ -309,6 +313,7 @@ impl Gathered {
         for packet in std::mem::take(&mut found.packets) {
             self.packets.get_or_insert_with(PacketCounts::new).push(&packet);
         }
+        self.observer.add(std::mem::take(&mut found.seen));
         self.found.merge(found);
     }
 
@@ -321,6 +326,7 @@ impl Gathered {
         let source = Source::new(&schema, &encoding).or(self.found.source);
         let message_type = source.map(|source| source.message_type);
         let content = self.content(message_type);
+        let stamps = self.stamps(message_type);
         losses.merge(self.found.losses.on_topic(&topic));
         let frame = |((frame_id, child_frame_id), n_messages)| FrameSurvey {
             frame_id,
@@ -328,7 +334,26 @@ impl Gathered {
             n_messages,
         };
         let frames = self.found.frames.into_iter().map(frame).collect();
-        TopicSurvey { topic, schema, encoding, n_messages, rate_hz, frames, content }
+        TopicSurvey { topic, schema, encoding, n_messages, rate_hz, frames, stamps, content }
+    }
+
+    /// Summarizes the stamps. Those of packets are in the packets, not in the header.
+    fn stamps(&self, message_type: Option<MessageType>) -> StampSurvey {
+        let TopicObserver { stamps, n_unstamped, .. } = &self.observer;
+        let is_packets = message_type.is_some_and(|found| {
+            matches!(found, MessageType::VelodyneScan | MessageType::VelodynePacket)
+        });
+        let steps = match stamps.steps_back() {
+            [] => stamps.steps_against_log(),
+            back => back.to_vec(),
+        };
+        StampSurvey {
+            delay_s: stamps.delay_s(),
+            n_unstamped: if is_packets { 0 } else { *n_unstamped },
+            n_equal: stamps.n_equal(),
+            n_stamped: stamps.n_messages(),
+            steps_s: steps.iter().map(|step| step.step_ns as f64 * 1e-9).collect(),
+        }
     }
 
     /// Summarizes the messages. Takes the poses, transforms and scans.
@@ -340,7 +365,8 @@ impl Gathered {
                 packets_survey(packets, found).map_or(Content::Other, Content::Packets)
             }
             Some(MessageType::PointCloud2 | MessageType::FoxglovePointCloud) => {
-                Content::Clouds(CloudsSurvey { rings: found.rings.medians() })
+                let point_times = found.rings.point_time().describe();
+                Content::Clouds(CloudsSurvey { rings: found.rings.medians(), point_times })
             }
             Some(lidar) if LIDAR_TYPES.contains(&lidar) => {
                 found.scans.take().map_or(Content::Other, Content::Scans)

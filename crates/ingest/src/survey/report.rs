@@ -40,6 +40,8 @@ pub struct TopicSurvey {
     /// The frames in the headers of the messages, in order of their names. Empty for types without a
     /// header.
     pub frames: Vec<FrameSurvey>,
+    /// The stamps in the headers of the messages.
+    pub stamps: StampSurvey,
     /// Summary of the messages.
     pub content: Content,
 }
@@ -53,6 +55,57 @@ pub struct FrameSurvey {
     pub child_frame_id: String,
     /// Number of messages.
     pub n_messages: u64,
+}
+
+/// The stamps in the headers of a topic. All is empty for transforms, which have their own stamps.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct StampSurvey {
+    /// Log time minus stamp \[s\]: the median over the log of the least delay in 0.1 s.
+    pub delay_s: Option<f64>,
+    /// Number of messages with the stamp 0.
+    pub n_unstamped: u64,
+    /// Number of messages with the stamp of the message before.
+    pub n_equal: u64,
+    /// Number of messages with a stamp that is not 0.
+    pub n_stamped: u64,
+    /// The steps of the stamps back, and against the log times \[s\].
+    pub steps_s: Vec<f64>,
+}
+
+impl StampSurvey {
+    /// Whether log times must be used, because all stamps are 0 or equal.
+    pub fn needs_log_times(&self) -> bool {
+        match self.n_stamped {
+            0 => 0 < self.n_unstamped,
+            n => 3 <= n && self.n_equal + 1 == n,
+        }
+    }
+
+    /// What a person should know, one fact per line.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines = Vec::new();
+        if let Some(delay_s) = self.delay_s {
+            let side = if delay_s < 0.0 { "after" } else { "before" };
+            lines.push(format!("stamped {:.3} s {side} the log time", delay_s.abs()));
+        }
+        if 0 < self.n_unstamped {
+            let n = self.n_stamped + self.n_unstamped;
+            lines.push(format!("{} of {n} stamps are 0", self.n_unstamped));
+        }
+        if 0 < self.n_equal {
+            lines.push(format!(
+                "{} of {} stamps are equal to the one before",
+                self.n_equal, self.n_stamped
+            ));
+        }
+        if let Some(largest) = self.steps_s.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())) {
+            lines.push(format!(
+                "the clock of the stamps steps {} times, by up to {largest:+.2} s",
+                self.steps_s.len()
+            ));
+        }
+        lines
+    }
 }
 
 /// Summary of the messages of a topic.
@@ -179,6 +232,8 @@ pub struct ScansSurvey {
 pub struct CloudsSurvey {
     /// The rings and their elevations \[deg\].
     pub rings: Vec<(u32, f64)>,
+    /// The field with the times of the points, its unit, and what they count from.
+    pub point_times: String,
 }
 
 /// Poses.
