@@ -14,6 +14,7 @@ mod evidence;
 mod faults_import;
 mod faults_labels;
 mod faults_program;
+mod faults_scans;
 mod faults_wheels;
 mod import;
 mod made;

@@ -216,13 +216,19 @@ fn revolution(elevations_deg: &[f64]) -> Vec<Point> {
 const FIELDS: [(&str, Scalar); 4] =
     [("x", Scalar::F32), ("y", Scalar::F32), ("z", Scalar::F32), ("ring", Scalar::U16)];
 
-/// A cloud of points with x, y, z, ring and time. `fields` gives the names.
-fn cloud(points: &[Point], fields: &[(&str, Scalar)], time: f64) -> Entry {
+/// A cloud of points with x, y, z, ring and time. `fields` gives the names. The times increase from
+/// `first` by `span`.
+fn cloud(
+    stamp_ns: i64,
+    points: &[Point],
+    fields: &[(&str, Scalar)],
+    (first, span): (f64, f64),
+) -> Entry {
     let mut data = Vec::new();
-    for ([x, y, z], ring) in points {
+    for (k, ([x, y, z], ring)) in points.iter().enumerate() {
         [x, y, z].iter().for_each(|v| data.extend(v.to_le_bytes()));
         data.extend(u32::from(*ring).to_le_bytes());
-        data.extend(time.to_le_bytes());
+        data.extend((first + span * k as f64 / points.len() as f64).to_le_bytes());
     }
     let field = |(k, &(name, kind)): (usize, &(&str, Scalar))| PointField {
         name: name.to_owned(),
@@ -230,7 +236,7 @@ fn cloud(points: &[Point], fields: &[(&str, Scalar)], time: f64) -> Entry {
         kind,
     };
     let cloud = PointCloud {
-        stamp_ns: START_NS,
+        stamp_ns,
         width: points.len(),
         height: 1,
         point_step: 24,
@@ -244,7 +250,8 @@ fn cloud(points: &[Point], fields: &[(&str, Scalar)], time: f64) -> Entry {
 }
 
 fn cloud_log(clouds: &[Vec<Point>]) -> Vec<Entry> {
-    clouds.iter().map(|points| cloud(points, &FIELDS, 0.0)).collect()
+    let stamps = (START_NS..).step_by(100_000_000);
+    stamps.zip(clouds).map(|(stamp, points)| cloud(stamp, points, &FIELDS, (0.0, 0.0))).collect()
 }
 
 #[test]
@@ -272,7 +279,7 @@ fn a_cloud_of_more_than_one_revolution_gives_the_first() {
     assert_eq!(found.iter().map(Scan::len).collect::<Vec<_>>(), [320, 360, 360]);
     assert!(close(found[0].coverage_deg, 319.0) && !found[0].is_ring());
     assert!(close(found[1].coverage_deg, 359.0) && found[1].is_ring());
-    assert_eq!(found[2], found[1]);
+    assert_eq!(found[2].x_m, found[1].x_m);
     assert_eq!(codes(&ingested.losses), [("returns_beyond_revolution", 61 + 360)]);
     assert!(ingested.notes.is_empty());
 }
@@ -280,7 +287,7 @@ fn a_cloud_of_more_than_one_revolution_gives_the_first() {
 #[test]
 fn a_cloud_without_a_ring_field_is_counted_with_its_fields() {
     let bare =
-        cloud(&revolution(&RINGS), &[&FIELDS[..3], &[("intensity", Scalar::F32)]].concat(), 0.0);
+        cloud(START_NS, &revolution(&RINGS), &[&FIELDS[..3], &[("intensity", Scalar::F32)]].concat(), (0.0, 0.0));
     let expected = "1 point cloud without a field `ring` (fields: x, y, z, intensity)";
     let output = ingest(std::slice::from_ref(&bare), default());
     assert_error(output, &["`/points` gives no scan", expected]);
@@ -302,7 +309,7 @@ fn unordered_points_are_sorted_and_noted() {
     let (expected, _) = ingest(&cloud_log(std::slice::from_ref(&in_order)), default()).unwrap();
     let (found, ingested) = ingest(&cloud_log(&[in_order, shuffled]), default()).unwrap();
     assert_eq!(found[0], expected[0]);
-    assert_eq!(found[1], expected[0]);
+    assert_eq!((&found[1].x_m, &found[1].y_m), (&expected[0].x_m, &expected[0].y_m));
     assert_eq!(kinds(&ingested), [&NoteKind::CloudsSorted { n_clouds: 1 }]);
     assert!(ingested.losses.is_empty());
 }
@@ -321,16 +328,28 @@ fn clouds_without_returns_at_the_start_do_not_hide_the_rings() {
 
 #[test]
 fn point_times_from_another_clock_are_ignored() {
-    // Times since start-up, of another day, in nanoseconds. Then 50 ms after the stamp.
-    for (seconds, after_ns) in [(0.05, 0), (1.4e9, 0), (1.44e18, 0), (1.44e9 + 0.05, 50_000_000)] {
+    const IGNORED: &str = "cloud_times_ignored";
+    const UNUSUAL: &str = "point_time_unit";
+    for (first, span, after_ns, expected) in [
+        // 50 ms after the stamp, 50 ms after the stamp since the epoch, and the same in nanoseconds.
+        (0.05, 0.1, 50_000_000, vec![UNUSUAL]),
+        (1.44e9 + 0.05, 0.1, 50_000_000, vec![]),
+        (1.44e18 + 5e7, 1e8, 50_000_000, vec![UNUSUAL]),
+        // Of another day, and since the start of the sensor.
+        (1.4e9, 0.1, 0, vec![IGNORED]),
+        (5000.0, 0.1, 0, vec![IGNORED, UNUSUAL]),
+    ] {
         let fields = [&FIELDS[..], &[("timestamp", Scalar::F64)]].concat();
-        let log = [cloud(&revolution(&RINGS), &fields, seconds)];
+        let log = [cloud(START_NS, &revolution(&RINGS), &fields, (first, span))];
         let (found, ingested) = ingest(&log, default()).unwrap();
-        // An f64 has a resolution of 240 ns for seconds since the epoch.
-        let error_ns = found[0].stamp_ns - START_NS - after_ns;
-        assert!(error_ns.abs() <= 240, "{seconds}: {error_ns} ns");
-        let ignored = NoteKind::CloudTimesIgnored { n_clouds: 1 };
-        assert_eq!(kinds(&ingested), if after_ns == 0 { vec![&ignored] } else { vec![] });
+        // The first point of the ring is the second of the cloud. An f64 has a resolution of 240 ns
+        // for seconds since the epoch.
+        let second_ns = if expected.contains(&IGNORED) { 0 } else { 100_000_000 / 1080 };
+        let error_ns = found[0].stamp_ns - START_NS - after_ns - second_ns;
+        assert!(error_ns.abs() <= 480, "{first}: {error_ns} ns");
+        let mut codes: Vec<_> = kinds(&ingested).iter().map(|kind| kind.code()).collect();
+        codes.sort_unstable();
+        assert_eq!(codes, expected, "{first}");
     }
 }
 
@@ -385,8 +404,12 @@ fn range_limits_are_inclusive_and_apply_to_the_slanted_range() {
     let (found, _) = ingest(&cloud_log(&[ahead]), default()).unwrap();
     assert_eq!(found[0].x_m, [0.9, 70.0]);
     let far = LidarOptions { range_min_m: 20.0, ..default() };
-    let (found, _) = ingest(&cloud_log(&[revolution(&RINGS)]), far).unwrap();
-    assert_eq!(found[0].len(), 0);
+    let output = ingest(&cloud_log(&[revolution(&RINGS)]), far.clone());
+    assert_error(output, &["none of the 360 points of the ring is within 20 to 70 m"]);
+    let mut one_far = revolution(&RINGS);
+    one_far[1].0 = [30.0, 0.0, 0.0];
+    let (found, _) = ingest(&cloud_log(&[one_far]), far).unwrap();
+    assert_eq!(found[0].len(), 1);
     assert!(close(found[0].coverage_deg, 359.0), "the coverage does not depend on the limits");
     let planar: Vec<Entry> = planar_log().into_iter().take(1).collect(); // 1, 2, ... 7 m
     let (found, _) =

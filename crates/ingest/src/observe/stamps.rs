@@ -121,10 +121,11 @@ impl StampObserver {
         MAX_STEPS_BACK < n_steps && self.n_messages < MIN_MESSAGES_PER_STEP * n_steps as u64
     }
 
-    /// The stamp, if three messages or more have the same one \[ns\].
+    /// The stamp, if three messages or more have the same one, although the log time advances \[ns\].
     pub(crate) fn only_stamp_ns(&self) -> Option<i64> {
         let is_only = MIN_MESSAGES_BACK <= self.n_messages && self.n_equal + 1 == self.n_messages;
-        self.first.map(|(stamp_ns, _)| stamp_ns).filter(|_| is_only)
+        let ((stamp_ns, first_ns), (_, last_ns)) = (self.first?, self.last?);
+        (is_only && BUCKET_NS <= last_ns.abs_diff(first_ns)).then_some(stamp_ns)
     }
 
     /// The places where the stamps step back, in the order of the log. There, several messages in a

@@ -23,7 +23,7 @@ const FIXED_FRAMES: [&str; 12] = [
 ];
 /// Names of the frame of the robot (REP 105).
 const BASE_FRAMES: [&str; 5] = ["base_link", "base_footprint", "base", "base_frame", "body"];
-/// Half of the points of a ring are nearer to their cone than this, in the frame of a sensor \[m\].
+/// Three in four points of a ring are nearer to their cone than this, in the frame of a sensor \[m\].
 /// Its apex is off by 0.04 m in the clouds of an Ouster, by up to 0.2 m in those of an HDL-64E, and by
 /// the path during a revolution in clouds that are already deskewed.
 const MAX_SPREAD_M: f64 = 0.3;
@@ -45,20 +45,23 @@ pub(crate) enum FrameName {
     Other,
     /// A frame of the robot.
     Base,
-    /// A frame that does not move.
+    /// The frame that the poses are in, with a name that says nothing else.
+    Poses,
+    /// The name of a frame that does not move.
     Fixed,
 }
 
 impl FrameName {
-    /// Judges a name without a leading slash. `fixed` are the frames that the poses are in.
-    pub(crate) fn of<'a>(frame_id: &str, mut fixed: impl Iterator<Item = &'a str>) -> Self {
+    /// Judges a name without a leading slash. `of_poses` are the frames that the poses are in.
+    pub(crate) fn of<'a>(frame_id: &str, mut of_poses: impl Iterator<Item = &'a str>) -> Self {
         // A robot's name can come first: `robot1/odom`.
         let last = frame_id.rsplit('/').next().unwrap_or(frame_id);
-        let is_in_poses = !frame_id.is_empty() && fixed.any(|name| name == frame_id);
-        if is_in_poses || FIXED_FRAMES.contains(&last) {
-            return Self::Fixed;
+        match () {
+            () if FIXED_FRAMES.contains(&last) => Self::Fixed,
+            () if !frame_id.is_empty() && of_poses.any(|name| name == frame_id) => Self::Poses,
+            () if BASE_FRAMES.contains(&last) => Self::Base,
+            () => Self::Other,
         }
-        if BASE_FRAMES.contains(&last) { Self::Base } else { Self::Other }
     }
 }
 
@@ -75,7 +78,7 @@ struct Ring {
     ring: u32,
     /// Median \[deg\].
     elevation_deg: f64,
-    /// Median distance of the points from the cone of the median elevation \[m\].
+    /// Distance of the points from the cone of the median elevation: the upper quartile \[m\].
     spread_m: f64,
     /// Whether the cloud has a ring that is not horizontal.
     has_slope: bool,
@@ -111,7 +114,7 @@ impl ConeCheck {
         let widest = wide().max_by(|a, b| a.spread_m.total_cmp(&b.spread_m))?;
         (MIN_SHARE * n as f64 <= n_wide as f64).then(|| {
             format!(
-                "in {n_wide} of {n} sampled clouds, the points of a ring are not at one elevation (ring {} at {:.1} deg: half of its points are {:.2} m or more from the cone of that elevation, expected less than {max_m} m)",
+                "in {n_wide} of {n} sampled clouds, the points of a ring are not at one elevation (ring {} at {:.1} deg: one in four of its points is {:.2} m or more from the cone of that elevation, expected less than {max_m} m)",
                 widest.ring, widest.elevation_deg, widest.spread_m
             )
         })
@@ -133,7 +136,7 @@ impl Ring {
             .map(|&(of_point, range)| range * libm::sin((of_point - elevation).abs()))
             .collect();
         distances.sort_by(f64::total_cmp);
-        let spread_m = distances[distances.len() / 2];
+        let spread_m = distances[distances.len() * 3 / 4];
         Self { ring, elevation_deg: elevation.to_degrees(), spread_m, has_slope: false }
     }
 }
@@ -200,7 +203,7 @@ mod tests {
         assert_eq!(name("velodyne"), FrameName::Other);
         assert_eq!(name("odom"), FrameName::Fixed);
         assert_eq!(name("robot1/odom"), FrameName::Fixed);
-        assert_eq!(name("slam_map"), FrameName::Fixed);
+        assert_eq!(name("slam_map"), FrameName::Poses);
         assert_eq!(name("base_link"), FrameName::Base);
         assert_eq!(name(""), FrameName::Other);
     }

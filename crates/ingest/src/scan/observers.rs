@@ -102,7 +102,8 @@ impl Observers {
         for (topic, observer) in of.pose_topics.iter().zip(&self.poses) {
             check_topic_stamps(of, topic, observer, pose_stamp, POSE_STAMP)?;
         }
-        if of.options.lidar.stamp == Stamp::Header {
+        // The stamps of packets are compared with the device clock when revolutions are made.
+        if of.options.lidar.stamp == Stamp::Header && !of.lidar.any(is_packet) {
             let stamps = &self.lidar.stamps;
             notes.extend(step_notes(stamps, LIDAR_STAMP).into_iter().map(|kind| of.on_lidar(kind)));
             notes.extend(order_notes(stamps).into_iter().map(|kind| of.on_lidar(kind)));
@@ -170,29 +171,44 @@ impl Observers {
         let of_poses = of_poses.filter(|_| are_poses);
         let name = FrameName::of(frame_id, of_poses.chain(parent));
         if of.lidar.any(is_cloud) {
-            let confirms = self.readings.cones.confirms_sensor();
-            let evidence = match (self.readings.cones.fault(name), name) {
-                (Some(evidence), _) => evidence,
-                (None, FrameName::Fixed) if !confirms => {
-                    "this frame does not move with the lidar, and the rings do not show that the points are seen from its origin".to_owned()
-                }
-                (None, FrameName::Fixed) => {
-                    let evidence = "the rings are cones around its origin, so it was taken as the frame of the sensor".to_owned();
-                    let frame_id = frame_id.to_owned();
-                    notes.push(of.on_lidar(NoteKind::LidarFrameDoubtful { frame_id, evidence }));
-                    return Ok(());
-                }
-                _ => return Ok(()),
-            };
-            let (path, topic) = (of.path.to_owned(), of.lidar.name.clone());
-            let frame_id = frame_id.to_owned();
-            return Err(IngestError::NotInSensorFrame { path, topic, frame_id, evidence });
+            return self.check_cloud_frame(of, frame_id, name, notes);
         }
         if name == FrameName::Fixed {
             let evidence = "this frame does not move with the robot, and planar scans do not show what they are seen from: check the driver".to_owned();
             let frame_id = frame_id.to_owned();
             notes.push(of.on_lidar(NoteKind::LidarFrameDoubtful { frame_id, evidence }));
         }
+        Ok(())
+    }
+    /// Checks by the rings that clouds are in the frame of the sensor.
+    fn check_cloud_frame(
+        &self,
+        of: &Observed<'_>,
+        frame_id: &str,
+        name: FrameName,
+        notes: &mut Vec<Note>,
+    ) -> Result<(), IngestError> {
+        let cones = &self.readings.cones;
+        let (path, topic, frame_id) =
+            (of.path.to_owned(), of.lidar.name.clone(), frame_id.to_owned());
+        if let Some(evidence) = cones.fault(name) {
+            return Err(IngestError::NotInSensorFrame { path, topic, frame_id, evidence });
+        }
+        let evidence = match (name, cones.confirms_sensor()) {
+            (FrameName::Fixed, false) => {
+                let evidence = "this frame does not move with the lidar, and the rings do not show that the points are seen from its origin".to_owned();
+                return Err(IngestError::NotInSensorFrame { path, topic, frame_id, evidence });
+            }
+            (FrameName::Fixed, true) => {
+                "the rings are cones around its origin, so it was taken as the frame of the sensor"
+            }
+            (FrameName::Poses, false) => {
+                "it is the frame of the poses, and the rings do not show that the points are seen from its origin"
+            }
+            _ => return Ok(()),
+        };
+        let evidence = evidence.to_owned();
+        notes.push(of.on_lidar(NoteKind::LidarFrameDoubtful { frame_id, evidence }));
         Ok(())
     }
 }
@@ -270,7 +286,7 @@ fn order_notes(stamps: &StampObserver) -> Vec<NoteKind> {
 
 /// Log time minus the time that is used \[s\]. `None` if it is not known, or not constant.
 fn delay_s(stamps: &StampObserver, stamp: Stamp) -> Option<f64> {
-    let delay_s = stamps.delay_s()?;
+    let delay_s = stamps.delay_s().filter(|_| stamps.only_stamp_ns().is_none())?;
     match stamp {
         Stamp::Log => Some(0.0),
         Stamp::Header => stamps.steps_against_log().is_empty().then_some(delay_s),
