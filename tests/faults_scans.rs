@@ -56,13 +56,8 @@ fn drive(fault: Fault, encoding: Encoding) -> Workplace {
             .f32(60.0)
             .f32_sequence(&ranges)
             .f32_sequence(&[]);
-        let message = |topic, type_name, data| Message {
-            topic,
-            type_name,
-            encoding,
-            stamp_ns: at_ns,
-            data,
-        };
+        let message =
+            |topic, type_name, data| Message { topic, type_name, encoding, stamp_ns: at_ns, data };
         [
             message("/pose", "geometry_msgs/PoseStamped", pose.finish()),
             message("/scan", "sensor_msgs/LaserScan", scan.finish()),
@@ -89,7 +84,8 @@ fn a_healthy_log_has_no_warning_and_inspect_shows_frames_and_delays() {
         let workplace = drive(HEALTHY, encoding);
         ingest(&workplace, &[]).expect(0);
         let finished = inspect(&workplace);
-        for line in ["frame `map`, stamped 0.000 s before", "frame `laser`, stamped 0.000 s before"] {
+        for line in ["frame `map`, stamped 0.000 s before", "frame `laser`, stamped 0.000 s before"]
+        {
             assert!(finished.stdout.contains(line), "{}", finished.stdout);
         }
     }

@@ -286,8 +286,12 @@ fn a_cloud_of_more_than_one_revolution_gives_the_first() {
 
 #[test]
 fn a_cloud_without_a_ring_field_is_counted_with_its_fields() {
-    let bare =
-        cloud(START_NS, &revolution(&RINGS), &[&FIELDS[..3], &[("intensity", Scalar::F32)]].concat(), (0.0, 0.0));
+    let bare = cloud(
+        START_NS,
+        &revolution(&RINGS),
+        &[&FIELDS[..3], &[("intensity", Scalar::F32)]].concat(),
+        (0.0, 0.0),
+    );
     let expected = "1 point cloud without a field `ring` (fields: x, y, z, intensity)";
     let output = ingest(std::slice::from_ref(&bare), default());
     assert_error(output, &["`/points` gives no scan", expected]);

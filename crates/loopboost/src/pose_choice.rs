@@ -287,7 +287,8 @@ mod tests {
     fn topic(name: &str, schema: &str, content: Content) -> TopicSurvey {
         let (topic, schema, encoding) = (name.to_owned(), schema.to_owned(), "cdr".to_owned());
         let (n_messages, frames) = (9, Vec::new());
-        TopicSurvey { topic, schema, encoding, n_messages, rate_hz: None, frames, content }
+        let stamps = Default::default();
+        TopicSurvey { topic, schema, encoding, n_messages, rate_hz: None, frames, stamps, content }
     }
 
     /// A topic with poses along `path_m` metres, one every half metre.

@@ -30,11 +30,6 @@ impl FrameCounts {
         self.counts.keys().map(String::as_str)
     }
 
-    /// The frames with their numbers of messages, in order of their names.
-    pub(crate) fn counts(&self) -> Vec<(String, u64)> {
-        self.counts.iter().map(|(frame, &n)| (frame.clone(), n)).collect()
-    }
-
     /// Number of different frames.
     pub(crate) fn len(&self) -> usize {
         self.counts.len()

@@ -15,8 +15,6 @@ pub(crate) struct TopicPiece {
     /// Stamp and log time of each message \[ns\].
     pub(crate) stamps: Vec<(i64, u64)>,
     pub(crate) frames: FrameCounts,
-    /// The frames that move, of `Odometry`.
-    pub(crate) child_frames: FrameCounts,
     /// Number of messages with the stamp 0.
     pub(crate) n_unstamped: u64,
 }
@@ -26,7 +24,6 @@ pub(crate) struct TopicPiece {
 pub(crate) struct TopicObserver {
     pub(crate) stamps: StampObserver,
     pub(crate) frames: FrameCounts,
-    pub(crate) child_frames: FrameCounts,
     pub(crate) n_unstamped: u64,
 }
 
@@ -43,9 +40,6 @@ impl TopicPiece {
         let stamp_ns = read_stamp_ns(source, data).ok().flatten()?;
         if let Some(ids) = read_frame_ids(source, data).ok()? {
             self.frames.add(&ids.frame_id);
-            if !ids.child_frame_id.is_empty() {
-                self.child_frames.add(&ids.child_frame_id);
-            }
         }
         let is_unstamped = stamp_ns == 0 && FIRST_REAL_LOG_NS <= log_ns;
         match is_unstamped {
@@ -63,7 +57,6 @@ impl TopicObserver {
             self.stamps.add(stamp_ns, log_ns);
         }
         self.frames.merge(piece.frames);
-        self.child_frames.merge(piece.child_frames);
         self.n_unstamped += piece.n_unstamped;
     }
 }

@@ -98,7 +98,9 @@ impl StampSurvey {
                 self.n_equal, self.n_stamped
             ));
         }
-        if let Some(largest) = self.steps_s.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())) {
+        if let Some(largest) =
+            self.steps_s.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))
+        {
             lines.push(format!(
                 "the clock of the stamps steps {} times, by up to {largest:+.2} s",
                 self.steps_s.len()
