@@ -114,6 +114,22 @@ codes! {
         /// A message has the stamp 0.
         Warning "unstamped_messages" UnstampedMessages
             => "message{s} with the stamp 0 (set `ingest.lidar.stamp` or `ingest.pose.stamp` to \"log\" to use log times)";
+        /// A coordinate is finite but impossible.
+        Warning "impossible_positions" ImpossiblePositions {
+            /// Largest possible coordinate \[m\].
+            max_m: u64,
+        } => "message{s} with a position farther than {max_m} m from the origin";
+        /// A pose jumps away from the poses before and after it.
+        Warning "pose_outliers" PoseOutliers
+            => "pose{s} that jump away from the poses before and after";
+        /// Poses at times that occur twice.
+        Warning "poses_at_repeated_times" PosesAtRepeatedTimes
+            => "pose{s} at times that occur twice, because the clock was set back";
+        /// A transform has no rotation.
+        Warning "transform_without_rotation" TransformWithoutRotation {
+            /// The first quaternion, x, y, z, w.
+            quaternion: String,
+        } => "transform{s} whose quaternion (x, y, z, w) is not of length 1: ({quaternion})";
         /// A quaternion is not of length 1.
         Warning "quaternion_not_normalized" QuaternionNotNormalized
             => "message{s} with a quaternion that is not of length 1";
@@ -122,9 +138,9 @@ codes! {
         /// A fix at latitude and longitude 0.
         Warning "gnss_fix_at_zero" GnssFixAtZero
             => "satellite position{s} at latitude 0, longitude 0 (receivers send it without a fix)";
-        /// A latitude or longitude out of range.
+        /// A latitude, longitude or altitude out of range.
         Warning "gnss_fix_out_of_range" GnssFixOutOfRange
-            => "satellite position{s} with a latitude or longitude out of range";
+            => "satellite position{s} with a latitude, longitude or altitude out of range";
         /// A JointState message has no wheels.
         Warning "no_wheel_joints" NoWheelJoints {
             /// The joints of the message.

@@ -431,15 +431,70 @@ codes! {
         Warning "pose_jumps" PoseJumps {
             /// Jumps.
             n_jumps: u64,
-            /// The limit \[m/s\].
-            max_speed_m_s: f64,
+            /// The speed of the robot: 95 % of its motion is slower \[m/s\].
+            own_speed_m_s: f64,
             /// The largest \[m\].
             largest_m: f64,
             /// The time it took \[s\].
             largest_s: f64,
             /// When it began \[ns since the epoch\].
             stamp_ns: i64,
-        } => "the poses jump {n_jumps} times faster than {max_speed_m_s} m/s; the largest jump is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns: do not trust poses around it (`ingest.pose.max_speed_m_s`)";
+            /// Whether the poses before and after a jump are in the same frame.
+            same_frame: bool,
+        } => "the poses jump {n_jumps} time{}: the robot drives {own_speed_m_s:.1} m/s, and the largest jump is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns; nothing is interpolated across a jump{}",
+            if *n_jumps == 1 { "" } else { "s" },
+            after_jumps(*same_frame);
+        /// Heights jump.
+        Warning "height_jumps" HeightJumps {
+            /// Jumps.
+            n_jumps: u64,
+            /// The largest \[m\].
+            largest_m: f64,
+            /// The time it took \[s\].
+            largest_s: f64,
+            /// When it began \[ns since the epoch\].
+            stamp_ns: i64,
+            /// Whether the poses before and after a jump are in the same frame.
+            same_frame: bool,
+        } => "the height of the poses jumps {n_jumps} time{}; the largest jump is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns; nothing is interpolated across a jump{}",
+            if *n_jumps == 1 { "" } else { "s" },
+            after_jumps(*same_frame);
+        /// Poses are faster than the robot.
+        Warning "poses_too_fast" PosesTooFast {
+            /// Steps between two poses.
+            n_steps: u64,
+            /// The limit \[m/s\].
+            max_speed_m_s: f64,
+            /// The longest step \[m\].
+            largest_m: f64,
+            /// The time it took \[s\].
+            largest_s: f64,
+            /// When it began \[ns since the epoch\].
+            stamp_ns: i64,
+        } => "{n_steps} step{} between poses are faster than {max_speed_m_s} m/s; the longest is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns; the poses are used: if the robot drives that fast, raise `ingest.pose.max_speed_m_s`, otherwise check the stamps of the poses",
+            if *n_steps == 1 { "" } else { "s" };
+        /// The clock of the poses steps back.
+        Warning "pose_clock_steps_back" PoseClockStepsBack {
+            /// Steps.
+            n_steps: u64,
+            /// The largest \[s\].
+            largest_s: f64,
+            /// The first stamp after the first step \[ns since the epoch\].
+            stamp_ns: i64,
+        } => "the stamps of the poses step back {n_steps} time{}, by up to {largest_s:.2} s, first to {stamp_ns} ns: the clock was set back; the trajectory is cut there, and times that occur twice are left out",
+            if *n_steps == 1 { "" } else { "s" };
+        /// The frame of the poses changes.
+        Warning "pose_frame_changes" PoseFrameChanges {
+            /// The frames with the numbers of their messages.
+            frames: String,
+        } => "the frame of the poses changes: {frames}; the trajectory is cut there, and poses in different frames give no pairs together: set `ingest.pose.frame_id` to use one of them";
+        /// Messages in other frames than the selected one.
+        Info "pose_frame_selected" PoseFrameSelected {
+            /// Messages in other frames.
+            n_other: u64,
+            /// All frames with the numbers of their messages.
+            frames: String,
+        } => "{n_other} messages in other frames than `ingest.pose.frame_id` not used: {frames}";
         /// Poses come from wheels and an IMU.
         Info "poses_fused" PosesFused {
             /// Wheel samples used.
@@ -652,6 +707,16 @@ impl NoteKind {
             | Self::OneClassLeft { grouping, .. }
             | Self::GroupingNotTrainable { grouping } => Some(grouping),
             _ => None,
+        }
+    }
+}
+
+/// What happens to the poses after a jump, as the end of a sentence.
+fn after_jumps(same_frame: bool) -> &'static str {
+    match same_frame {
+        true => "",
+        false => {
+            ", and poses before and after it give no pairs together; if both are in one map, set `ingest.pose.jumps = \"same_frame\"`"
         }
     }
 }

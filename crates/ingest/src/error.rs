@@ -103,9 +103,50 @@ pub enum IngestError {
         /// Why.
         source: PoseFileError,
     },
+    /// The poses of a topic come from several publishers.
+    #[error(
+        "{path}: several publishers use topic `{topic}` at the same time: {frames}; set `ingest.pose.frame_id` to the frame of one of them"
+    )]
+    SeveralPoseFrames {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The frames with the numbers of their messages.
+        frames: String,
+    },
+    /// No pose of the topic is in the selected frame.
+    #[error(
+        "{path}: topic `{topic}` has no pose in frame `{selected}`, it has {frames}; set `ingest.pose.frame_id` to one of these frames"
+    )]
+    NoPoseFrame {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// The frame in the options.
+        selected: String,
+        /// The frames with the numbers of their messages.
+        frames: String,
+    },
+    /// The poses cannot be the path of one robot.
+    #[error(
+        "{path}: the poses of topic `{topic}` are not the path of one robot: {n_contradictory} of {n_poses} jump away from the poses before; check whether two publishers use the topic and whether the stamps of the poses are right, or use another source of poses"
+    )]
+    ContradictoryPoses {
+        /// The log.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// Number of poses that jump.
+        n_contradictory: usize,
+        /// Number of poses.
+        n_poses: usize,
+    },
     /// The transforms do not give poses.
     #[error(
-        "{path}: no poses of frame `{child}` in frame `{parent}`; the transforms contain {found}: set `ingest.pose.frames` to two connected frames"
+        "{path}: no poses of frame `{child}` in frame `{parent}`; the transforms contain {found}{}: set `ingest.pose.frames` to two connected frames",
+        in_parentheses(losses)
     )]
     NoFrames {
         /// The log.
@@ -116,6 +157,8 @@ pub enum IngestError {
         child: String,
         /// The frames in the log.
         found: String,
+        /// The transforms that were dropped.
+        losses: Losses,
         /// What is wrong.
         source: LookupError,
     },
@@ -310,6 +353,9 @@ impl IngestError {
             Self::NoPoses { .. } => "no_poses",
             Self::PoseFile { .. } => "pose_file",
             Self::NoFrames { .. } => "no_frames",
+            Self::SeveralPoseFrames { .. } => "several_pose_frames",
+            Self::NoPoseFrame { .. } => "no_pose_frame",
+            Self::ContradictoryPoses { .. } => "contradictory_poses",
             Self::Fuse { .. } => "cannot_fuse",
             Self::Wheels { source, .. } => source.code(),
             Self::NoScans { .. } => "no_scans",

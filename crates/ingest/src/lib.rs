@@ -63,7 +63,7 @@ pub use options::{Clock, LidarOptions, Options};
 pub use pose::file::PoseFileError;
 pub use pose::frames::LookupError;
 pub use pose::wheel_error::WheelError;
-pub use pose_options::{Frames, Origin, PlanarPose, PoseOptionError, PoseOptions};
+pub use pose_options::{Frames, Jumps, Origin, PlanarPose, PoseOptionError, PoseOptions};
 pub use scan::assemble::Ingested;
 pub use stamp::Stamp;
 pub use survey::gather::survey;

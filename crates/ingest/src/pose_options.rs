@@ -19,7 +19,8 @@ pub struct PoseOptions {
     /// `NavSatFix` messages. The schema of the topic selects the decoder.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub topic: Option<String>,
-    /// The frame (`header.frame_id`) whose messages are used, if several publishers use one topic.
+    /// The frame whose messages are used, if several publishers use one topic: `header.frame_id`, or, for
+    /// poses, the `child_frame_id` of `Odometry`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame_id: Option<String>,
     /// The time of a message that is used: `header`, the stamp in its header, or `log`, the time at
@@ -43,6 +44,10 @@ pub struct PoseOptions {
     pub origin: Option<Origin>,
     /// Maximum speed of the robot. Poses that need a higher speed are reported \[m/s\].
     pub max_speed_m_s: f64,
+    /// Where the poses are after a jump: `new_frame`, in a frame of their own without a known relation to
+    /// the poses before, or `same_frame`, in the same map, for example after a correction of a
+    /// localizer. Satellite fixes are always in the same frame.
+    pub jumps: Jumps,
     /// Topic with wheel speeds: `JointState`, or `Odometry`, of which the twist is used. The driven wheels
     /// are found by the names of the joints, which contain `wheel` and a side, or are named:
     /// `wheels = { topic = "/joint_states", left = ["..."], right = ["..."] }`.
@@ -88,6 +93,7 @@ impl Default for PoseOptions {
             file_time_unit: TimeUnit::S,
             origin: None,
             max_speed_m_s: 15.0,
+            jumps: Jumps::NewFrame,
             wheels: None,
             imu: None,
             imu_frame_id: None,
@@ -100,6 +106,18 @@ impl Default for PoseOptions {
             fuse: fuse::Options::default(),
         }
     }
+}
+
+/// Where the poses are after a jump.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Jumps {
+    /// In a frame of their own: their relation to the poses before the jump is not known.
+    #[default]
+    NewFrame,
+    /// In the frame of the poses before the jump.
+    SameFrame,
 }
 
 /// A pose in the plane: of the robot in the map frame of the site, or of a sensor on the robot.
@@ -199,6 +217,9 @@ impl PoseOptions {
         }
         if self.origin.is_some() && used != "topic" {
             return Err(PoseOptionError::OriginWithoutTopic { used });
+        }
+        if self.frame_id.is_some() && !["topic", "wheels"].contains(&used) {
+            return Err(PoseOptionError::FrameIdWithoutTopic { used });
         }
         if self.max_speed_m_s.is_nan() || self.max_speed_m_s <= 0.0 {
             return out_of_range("max_speed_m_s", self.max_speed_m_s, "more than 0");
@@ -304,6 +325,14 @@ pub enum PoseOptionError {
         /// The source of poses.
         used: &'static str,
     },
+    /// `frame_id` is set without `topic` or `wheels`.
+    #[error(
+        "`ingest.pose` sets `{used}` and `frame_id`, but `frame_id` is only used with `topic` or `wheels`; remove one of them"
+    )]
+    FrameIdWithoutTopic {
+        /// The source of poses.
+        used: &'static str,
+    },
     /// Parent and child are the same frame.
     #[error("`ingest.pose.frames` has parent and child `{frame}`, expected two different frames")]
     SameFrame {
@@ -369,6 +398,14 @@ mod tests {
                 "parent and child `/a`",
             ),
             (PoseOptions { origin: Some(pole), ..wheels.clone() }, "`wheels` and `origin`"),
+            (
+                PoseOptions {
+                    frame_id: Some("odom".to_owned()),
+                    frames: frames("a", "b"),
+                    ..PoseOptions::default()
+                },
+                "`frames` and `frame_id`",
+            ),
             (
                 PoseOptions { origin: Some(beyond), ..PoseOptions::of_topic("/fix") },
                 "`ingest.pose.origin.latitude_deg` is 90.5, expected -90 to 90",

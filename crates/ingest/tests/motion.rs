@@ -251,7 +251,7 @@ fn planar_scans_with_return_times_are_deskewed() {
     let (scans, _) = ingest(&log, &options("/scan", Some("/pose")));
     assert!(scans[0].x_m.iter().all(|x| (f64::from(*x) - WALL_M).abs() < 1e-5));
     // Steps of 1 m in 0.1 s, 10 m/s, are below the default limit of 15 m/s. With a limit of 5 m/s
-    // they are jumps.
+    // they are too fast.
     let fast: Vec<Entry> = [log[0].clone()]
         .into_iter()
         .chain(
@@ -265,7 +265,7 @@ fn planar_scans_with_return_times_are_deskewed() {
     limited.pose.as_mut().unwrap().max_speed_m_s = 5.0;
     let (_, ingested) = ingest(&fast, &limited);
     let note =
-        "the poses jump 3 times faster than 5 m/s; the largest jump is 1.00 m in 0.100 s at 0 ns";
+        "3 steps between poses are faster than 5 m/s; the longest is 1.00 m in 0.100 s at 0 ns";
     assert!(has_note(&ingested, note), "{:?}", ingested.notes);
     assert!(has_note(&ingested, "0 scans deskewed"));
 }

@@ -5,13 +5,17 @@ use std::collections::VecDeque;
 use dataset::{Pose2, StampedPose};
 
 use crate::deskew::motion::ScanMotion;
-use crate::pose::jumps::is_jump;
+use crate::pose::jumps::is_too_fast;
 
 /// Between poses farther apart than this the motion is unknown \[ns\]. A robot that starts to turn
 /// with 1 rad/s^2 differs after 0.25 s by 1/8 a t^2 = 0.008 rad from a motion at constant rate.
 const MAX_GAP_NS: i64 = 250_000_000;
 /// Poses are kept for this time before the last released scan \[ns\].
 const KEPT_NS: i64 = 10_000_000_000;
+
+/// A pose that is earlier than the newest one by more than this is not late: the clock stepped back, or
+/// the newest one is wrong \[ns\].
+const LATE_NS: i64 = 500_000_000;
 
 /// The most recent poses of the lidar, in a frame in which they do not jump.
 #[derive(Debug)]
@@ -30,9 +34,14 @@ impl RecentPoses {
     }
 
     /// Adds a pose, usually the latest. If a pose with the same stamp exists, the new one is
-    /// ignored.
+    /// ignored. If the clock has stepped back, the later poses belong to another part of the drive and
+    /// are removed.
     pub(crate) fn push(&mut self, stamp_ns: i64, pose: Pose2) {
         self.last_ns = stamp_ns;
+        let newest_ns = self.poses.back().map_or(stamp_ns, |back| back.stamp_ns);
+        if LATE_NS < newest_ns.saturating_sub(stamp_ns) {
+            self.poses.truncate(self.poses.partition_point(|p| p.stamp_ns <= stamp_ns));
+        }
         let at = match self.poses.back() {
             Some(back) if stamp_ns <= back.stamp_ns => {
                 self.poses.partition_point(|p| p.stamp_ns < stamp_ns)
@@ -74,7 +83,8 @@ impl RecentPoses {
     }
 
     fn is_motion_known(&self, a: &StampedPose, b: &StampedPose) -> bool {
-        b.stamp_ns.saturating_sub(a.stamp_ns) <= MAX_GAP_NS && !is_jump(a, b, self.max_speed_m_s)
+        b.stamp_ns.saturating_sub(a.stamp_ns) <= MAX_GAP_NS
+            && !is_too_fast(a, b, self.max_speed_m_s)
     }
 }
 
@@ -130,6 +140,21 @@ mod tests {
             recent_poses(&poses).motion(0, 0, 40 * MS)
         };
         assert!(step(0.84).is_some() && step(0.86).is_none());
+    }
+
+    /// The clock steps back by 2 s, while the robot drives on with 1 m/s. The motion is the one after
+    /// the step.
+    #[test]
+    fn poses_from_before_a_step_of_the_clock_are_not_used() {
+        let mut recent_poses = RecentPoses::new(15.0);
+        for k in 0..100 {
+            let stamp_ms = if k < 60 { 50 * k } else { 50 * k - 2000 };
+            recent_poses.push(stamp_ms * MS, pose(0.05 * k as f64, 0.0));
+        }
+        // The motion at 1.5 s, half a second after the step, and not that before it.
+        let [x, ..] = recent_poses.motion(1500 * MS, 1500 * MS, 1590 * MS).unwrap().at(90 * MS);
+        assert!((x - 0.09).abs() < 1e-12, "{x}");
+        assert_eq!(recent_poses.poses.len(), 21 + 39);
     }
 
     #[test]

@@ -7,12 +7,13 @@
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use dataset::{LossKind, NoteKind, StampedPose};
+use dataset::{Loss, LossKind, Losses, NoteKind, StampedPose, Subject};
 use messages::Transform;
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
 
-use crate::pose::message::unit_quaternion;
-use crate::pose::recorded::{RecordedTransform, planar, points_down};
+use crate::pose::chain::{self, ChainLink, ChainPoses, product, stamped};
+use crate::pose::message::{check_position, unit_quaternion};
+use crate::pose::recorded::RecordedTransform;
 
 /// Parent frame and child frame of a transform.
 type Edge = (String, String);
@@ -29,6 +30,10 @@ struct Link {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(crate) struct TransformHistory {
     recorded: BTreeMap<Edge, RecordedTransform>,
+    /// Transforms that cannot be used, without the quaternions.
+    losses: Losses,
+    /// For each transform whose quaternions are not of length 1: their number and the first one.
+    without_rotation: BTreeMap<Edge, (u64, String)>,
     /// Whether only the transforms of the chain are kept.
     is_pruned: bool,
     /// Frames of the chain that have a second parent: child, parent in the chain, other parent.
@@ -52,28 +57,48 @@ pub enum LookupError {
 }
 
 impl TransformHistory {
-    /// Adds a transform.
-    pub(crate) fn add(&mut self, transform: &Transform, is_static: bool) -> Result<(), LossKind> {
-        let [x, y, z, w] = unit_quaternion(transform.rotation)?;
-        if !transform.translation.iter().all(|v| v.is_finite()) {
-            return Err(LossKind::NonFiniteMessages);
-        }
+    /// Adds a transform, or counts it if it cannot be used.
+    pub(crate) fn add(&mut self, transform: &Transform, is_static: bool) {
+        let edge =
+            (frame_name(&transform.parent).to_owned(), frame_name(&transform.child).to_owned());
+        let [x, y, z, w] = match check(transform) {
+            Ok(rotation) => rotation,
+            Err(LossKind::TransformWithoutRotation { quaternion }) => {
+                self.without_rotation.entry(edge).or_insert((0, quaternion)).0 += 1;
+                return;
+            }
+            Err(kind) => {
+                self.losses.add(Loss::new(kind, Subject::transform(&edge.0, &edge.1)), 1);
+                return;
+            }
+        };
         let parent_from_child = Isometry3::from_parts(
             Translation3::from(transform.translation),
             UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)),
         );
-        let edge =
-            (frame_name(&transform.parent).to_owned(), frame_name(&transform.child).to_owned());
         let recorded = self.recorded.entry(edge).or_default();
         if is_static {
             recorded.set_static();
         }
         recorded.push(transform.stamp_ns, parent_from_child);
-        Ok(())
+    }
+
+    /// The transforms that cannot be used.
+    pub(crate) fn losses(&self) -> Losses {
+        let mut losses = self.losses.clone();
+        for ((parent, child), (n, quaternion)) in &self.without_rotation {
+            let kind = LossKind::TransformWithoutRotation { quaternion: quaternion.clone() };
+            losses.add(Loss::new(kind, Subject::transform(parent, child)), *n);
+        }
+        losses
     }
 
     /// Adds the transforms of a later part of the log.
     pub(crate) fn extend(&mut self, later: Self) {
+        self.losses.merge(later.losses);
+        for (edge, (n, quaternion)) in later.without_rotation {
+            self.without_rotation.entry(edge).or_insert((0, quaternion)).0 += n;
+        }
         for (edge, recorded) in later.recorded {
             if self.is_pruned && !self.recorded.contains_key(&edge) {
                 self.record_second_parent(&edge);
@@ -161,9 +186,8 @@ impl TransformHistory {
         moving.max_by_key(|&k| (n_samples(k), std::cmp::Reverse(k)))
     }
 
-    /// The poses of the child frame in the parent frame, at the stamps of the transform with the
-    /// most samples. The second result is the number of stamps without a pose, because another
-    /// transform of the chain has not started, has ended, or has a gap there.
+    /// The poses of the child frame in the parent frame, at the stamps of the transform with the most
+    /// samples.
     ///
     /// If the z axis of the child frame points down, it is an error unless `upside_down` is set.
     pub(crate) fn poses(
@@ -171,30 +195,18 @@ impl TransformHistory {
         parent: &str,
         child: &str,
         upside_down: bool,
-    ) -> Result<(Vec<StampedPose>, u64), LookupError> {
+    ) -> Result<ChainPoses, LookupError> {
         let chain = self.chain(parent, child).ok_or(LookupError::NotConnected)?;
         let most_frequent = self.most_frequent(&chain).ok_or(LookupError::Static)?;
-        let sorted: Vec<RecordedTransform> =
-            chain.iter().map(|link| self.recorded[&link.edge].sorted()).collect();
-        let (mut n_unknown, mut n_down) = (0, 0);
-        let mut poses = Vec::with_capacity(sorted[most_frequent].n_samples());
-        for stamp_ns in sorted[most_frequent].stamps_ns() {
-            let transforms = sorted.iter().map(|recorded| match recorded.is_in_gap(stamp_ns) {
-                true => None,
-                false => recorded.at(stamp_ns),
-            });
-            match product(&chain, transforms) {
-                Some(parent_from_child) => {
-                    n_down += usize::from(points_down(&parent_from_child));
-                    poses.push(stamped(stamp_ns, &parent_from_child));
-                }
-                None => n_unknown += 1,
-            }
+        let link = |link: &Link| ChainLink {
+            is_inverted: link.is_inverted,
+            recorded: self.recorded[&link.edge].clone(),
+        };
+        let found = chain::poses(chain.iter().map(link).collect(), most_frequent);
+        match upside_down {
+            false if found.poses.len() < 2 * found.n_down => Err(LookupError::UpsideDown),
+            _ => Ok(found),
         }
-        if !upside_down && poses.len() < 2 * n_down {
-            return Err(LookupError::UpsideDown);
-        }
-        Ok((poses, n_unknown))
     }
 
     /// The motion of the child frame while the log is being read: its poses after a stamp, up to
@@ -218,8 +230,11 @@ impl TransformHistory {
             .take_while(|&stamp_ns| after_ns < stamp_ns)
             .filter(|&stamp_ns| stamp_ns <= until_ns)
             .filter_map(|stamp_ns| {
-                let transforms = recorded.iter().map(|recorded| recorded.at_or_last(stamp_ns));
-                Some(stamped(stamp_ns, &product(&chain, transforms)?))
+                let transforms = chain
+                    .iter()
+                    .zip(&recorded)
+                    .map(|(link, recorded)| (link.is_inverted, recorded.at_or_last(stamp_ns)));
+                Some(stamped(stamp_ns, &product(transforms)?))
             })
             .collect();
         poses.reverse();
@@ -227,22 +242,15 @@ impl TransformHistory {
     }
 }
 
-/// The product of the transforms of a chain, `parent_from_child`: `a_from_b * b_from_c * ...`.
-fn product(
-    chain: &[Link],
-    transforms: impl Iterator<Item = Option<Isometry3<f64>>>,
-) -> Option<Isometry3<f64>> {
-    let mut links = chain.iter().zip(transforms);
-    links.try_fold(Isometry3::identity(), |parent_from_frame, (link, transform)| {
-        let transform = transform?;
-        let frame_from_next = if link.is_inverted { transform.inverse() } else { transform };
-        Some(parent_from_frame * frame_from_next)
+/// The rotation of a transform as a unit quaternion (x, y, z, w), if the transform can be used.
+fn check(transform: &Transform) -> Result<[f64; 4], LossKind> {
+    check_position(&transform.translation)?;
+    unit_quaternion(transform.rotation).map_err(|kind| match kind {
+        LossKind::QuaternionNotNormalized => LossKind::TransformWithoutRotation {
+            quaternion: transform.rotation.map(|v| v.to_string()).join(", "),
+        },
+        other => other,
     })
-}
-
-fn stamped(stamp_ns: i64, parent_from_child: &Isometry3<f64>) -> StampedPose {
-    let z_m = Some(parent_from_child.translation.z);
-    StampedPose { z_m, ..StampedPose::new(stamp_ns, planar(parent_from_child)) }
 }
 
 /// The name of a frame without the leading slash that ROS 1 allows.
@@ -279,7 +287,7 @@ mod tests {
     fn history() -> TransformHistory {
         let mut history = TransformHistory::default();
         let mut add = |names, stamp_ns, translation, rotation, is_static| {
-            history.add(&transform(names, stamp_ns, translation, rotation), is_static).unwrap();
+            history.add(&transform(names, stamp_ns, translation, rotation), is_static);
         };
         for stamp_ns in [0, 100] {
             add(("map", "odom"), stamp_ns, [10.0, 0.0, 0.0], rotation(FRAC_PI_2, 0.0), false);
@@ -298,7 +306,7 @@ mod tests {
     /// with heading 1 rad + 90 deg. The lidar is 1 m ahead; its roll does not matter.
     #[test]
     fn transforms_are_chained_and_not_extrapolated() {
-        let (poses, n_unknown) = history().poses("map", "lidar", true).unwrap();
+        let ChainPoses { poses, n_unknown, .. } = history().poses("map", "lidar", true).unwrap();
         assert_eq!(poses.iter().map(|p| p.stamp_ns).collect::<Vec<_>>(), [0, 10, 20]);
         assert_eq!(n_unknown, 2, "map -> odom has no samples around -10 and 110");
         let at_10 = poses[1].pose;
@@ -312,7 +320,7 @@ mod tests {
     /// upside down, so left and right are exchanged.
     #[test]
     fn transforms_are_inverted_when_the_chain_goes_from_child_to_parent() {
-        let (poses, _) = history().poses("/lidar", "map", true).unwrap();
+        let poses = history().poses("/lidar", "map", true).unwrap().poses;
         let map = poses[1].pose;
         let heading = 1.0 + FRAC_PI_2;
         let (sin, cos) = heading.sin_cos();
@@ -333,8 +341,8 @@ mod tests {
         parts.prune("map", "lidar");
         parts.extend(history());
         assert_eq!(parts, whole);
-        let (poses, _) = whole.poses("map", "lidar", true).unwrap();
-        let (expected, _) = history().poses("map", "lidar", true).unwrap();
+        let poses = whole.poses("map", "lidar", true).unwrap().poses;
+        let expected = history().poses("map", "lidar", true).unwrap().poses;
         assert_eq!(poses.iter().step_by(2).copied().collect::<Vec<_>>(), expected);
     }
 
@@ -343,7 +351,7 @@ mod tests {
     fn motion_is_in_the_frame_of_the_transform_that_moves_most() {
         let motion = history().motion("map", "lidar", i64::MIN);
         assert_eq!(motion.iter().map(|p| p.stamp_ns).collect::<Vec<_>>(), [-10, 0, 10, 20, 110]);
-        let (in_odom, _) = history().poses("odom", "lidar", true).unwrap();
+        let in_odom = history().poses("odom", "lidar", true).unwrap().poses;
         assert_eq!(motion, in_odom);
         assert_eq!(history().motion("map", "lidar", 0), in_odom[2..]);
         assert_eq!(history().motion("map", "wheel", 0), vec![]);
@@ -351,10 +359,10 @@ mod tests {
         let mut extended = history();
         for t in 0..40 {
             let names = ("lidar", "optical");
-            extended.add(&transform(names, t, [0.0; 3], rotation(0.0, 0.0)), false).unwrap();
+            extended.add(&transform(names, t, [0.0; 3], rotation(0.0, 0.0)), false);
         }
         let jump = transform(("map", "odom"), 50, [9.0, 5.0, 0.0], rotation(0.1, 0.0));
-        extended.add(&jump, false).unwrap();
+        extended.add(&jump, false);
         let motion = extended.motion("map", "optical", i64::MIN);
         assert_eq!(motion.len(), 40);
         assert_eq!(motion[10].stamp_ns, 10);
@@ -367,7 +375,7 @@ mod tests {
         let mut history = TransformHistory::default();
         let mut add = |names, ms: i64, x_m| {
             let transform = transform(names, ms * 1_000_000, [x_m, 0.0, 0.0], rotation(0.0, 0.0));
-            history.add(&transform, false).unwrap();
+            history.add(&transform, false);
         };
         for ms in (0..=5000).step_by(20) {
             add(("odom", "base"), ms, 1e-3 * ms as f64);
@@ -375,7 +383,7 @@ mod tests {
         for ms in (0..=1000).step_by(100).chain((4000..=5000).step_by(100)) {
             add(("map", "odom"), ms, 0.0);
         }
-        let (poses, n_unknown) = history.poses("map", "base", false).unwrap();
+        let ChainPoses { poses, n_unknown, .. } = history.poses("map", "base", false).unwrap();
         assert_eq!((poses.len(), n_unknown), (2 * 51, 149));
     }
 
@@ -386,7 +394,7 @@ mod tests {
         pruned.prune("map", "lidar");
         assert_eq!(pruned.notes().count(), 0);
         let mut later = TransformHistory::default();
-        later.add(&other, false).unwrap();
+        later.add(&other, false);
         pruned.extend(later);
         let [child, used, other] = ["base", "odom", "gps"].map(str::to_owned);
         let notes: Vec<_> = pruned.notes().collect();
@@ -402,12 +410,31 @@ mod tests {
         assert_eq!(history().frame_names(), ["base", "lidar", "map", "mast", "odom"]);
     }
 
+    /// Other transforms of the same frames and of the same message are used.
     #[test]
-    fn invalid_transforms_are_refused() {
+    fn invalid_transforms_are_counted_by_frames_and_name_their_quaternion() {
         let mut history = history();
-        let invalid = transform(("a", "b"), 0, [0.0; 3], [0.0; 4]);
-        assert_eq!(history.add(&invalid, false), Err(LossKind::QuaternionNotNormalized));
-        let invalid = transform(("a", "b"), 0, [f64::NAN; 3], [0.0, 0.0, 0.0, 1.0]);
-        assert_eq!(history.add(&invalid, false), Err(LossKind::NonFiniteMessages));
+        let before = history.clone();
+        let identity = [0.0, 0.0, 0.0, 1.0];
+        for (names, translation, rotation) in [
+            (("base", "/imu"), [0.0; 3], [0.0; 4]),
+            (("base", "imu"), [0.0; 3], [0.0, 0.0, 0.0, 0.5]),
+            (("odom", "base"), [f64::NAN, 0.0, 0.0], identity),
+            (("odom", "base"), [0.0, 1e300, 0.0], identity),
+        ] {
+            history.add(&transform(names, 0, translation, rotation), false);
+        }
+        assert_eq!(history.recorded, before.recorded);
+        let mut parts = before;
+        parts.extend(history);
+        let losses: Vec<String> = parts.losses().iter().map(|(loss, n)| loss.sentence(n)).collect();
+        assert_eq!(
+            losses,
+            [
+                "1 message with NaN or infinite values (transform `odom -> base`)",
+                "1 message with a position farther than 100000000 m from the origin (transform `odom -> base`)",
+                "2 transforms whose quaternion (x, y, z, w) is not of length 1: (0, 0, 0, 0) (transform `base -> imu`)",
+            ]
+        );
     }
 }

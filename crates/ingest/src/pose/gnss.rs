@@ -23,6 +23,14 @@ const STATUS_FIX: i8 = 0;
 /// Positions closer to latitude 0, longitude 0 than this are not fixes \[deg\].
 const NULL_ISLAND_DEG: f64 = 1e-6;
 
+/// Larger altitudes are not those of a vehicle \[m\]: aircraft fly below 2e4 m. An unknown altitude is
+/// NaN.
+const MAX_ALTITUDE_M: f64 = 1e5;
+
+/// A height is used if its standard deviation is known and below this \[m\], a third of the height of a
+/// floor. Receivers without corrections are off by several metres from one drive to the next.
+const MAX_HEIGHT_STD_M: f64 = 1.0;
+
 /// Checks that a message contains a valid fix. The error is the kind of loss that the message is
 /// counted as.
 pub(crate) fn check(fix: &NavSatFix) -> Result<(), LossKind> {
@@ -34,7 +42,8 @@ pub(crate) fn check(fix: &NavSatFix) -> Result<(), LossKind> {
     if fix.latitude_deg.abs() < NULL_ISLAND_DEG && fix.longitude_deg.abs() < NULL_ISLAND_DEG {
         return Err(LossKind::GnssFixAtZero);
     }
-    if !(fix.latitude_deg.abs() <= 90.0 && fix.longitude_deg.abs() <= 360.0) {
+    let is_on_earth = fix.latitude_deg.abs() <= 90.0 && fix.longitude_deg.abs() <= 360.0;
+    if !is_on_earth || MAX_ALTITUDE_M < fix.altitude_m.abs() {
         return Err(LossKind::GnssFixOutOfRange);
     }
     Ok(())
@@ -49,26 +58,33 @@ pub(crate) fn origin(fix: &NavSatFix) -> Origin {
     }
 }
 
-/// The poses of the receiver, one for each fix, in order of time.
-pub(crate) fn poses(fixes: &[NavSatFix], origin: &Origin) -> Vec<StampedPose> {
+/// The pose of the receiver for each fix, in the order of the fixes and with their frames. The headings
+/// are not known yet: [`set_courses`] sets them.
+pub(crate) fn poses(fixes: &[(NavSatFix, u32)], origin: &Origin) -> Vec<StampedPose> {
     let plane = LocalPlane::new(origin);
-    let mut poses: Vec<StampedPose> = fixes
-        .iter()
-        .map(|fix| {
-            let altitude_m =
-                if fix.altitude_m.is_finite() { fix.altitude_m } else { origin.altitude_m };
-            let [x_m, y_m, _] = plane.east_north_up(&Origin { altitude_m, ..self::origin(fix) });
-            StampedPose::new(fix.stamp_ns, Pose2 { x_m, y_m, heading_rad: 0.0 })
-        })
-        .collect();
-    poses.sort_by_key(|pose| pose.stamp_ns);
-    set_courses(&mut poses);
-    poses
+    let pose = |(fix, frame): &(NavSatFix, u32)| {
+        let altitude_m =
+            if fix.altitude_m.is_finite() { fix.altitude_m } else { origin.altitude_m };
+        let [x_m, y_m, up_m] = plane.east_north_up(&Origin { altitude_m, ..self::origin(fix) });
+        let up_variance = fix.covariance[8];
+        let is_height_known = fix.altitude_m.is_finite()
+            && 0.0 < up_variance
+            && up_variance <= MAX_HEIGHT_STD_M * MAX_HEIGHT_STD_M;
+        let z_m = is_height_known.then_some(up_m);
+        let pose = Pose2 { x_m, y_m, heading_rad: 0.0 };
+        StampedPose { z_m, frame: *frame, ..StampedPose::new(fix.stamp_ns, pose) }
+    };
+    fixes.iter().map(pose).collect()
+}
+
+/// Sets the headings of poses in order of time, separately for each segment.
+pub(crate) fn set_courses(poses: &mut [StampedPose]) {
+    poses.chunk_by_mut(|a, b| a.segment == b.segment).for_each(set_courses_of_segment);
 }
 
 /// Sets the heading of each pose to the direction of its chord. The poses after the last chord get
 /// the direction of the last chord.
-fn set_courses(poses: &mut [StampedPose]) {
+fn set_courses_of_segment(poses: &mut [StampedPose]) {
     let mut start = 0;
     let mut course = None;
     for end in 1..poses.len() {
@@ -149,7 +165,8 @@ mod tests {
     fn distances_agree_with_the_radii_of_curvature() {
         for (latitude, north_m, east_m) in [(0.0, 110.5743, 111.3195), (60.0, 111.4122, 55.8000)] {
             let place = Origin { latitude_deg: latitude, longitude_deg: -83.7, altitude_m: 0.0 };
-            let fixes = [fix(0, latitude + 1e-3, -83.7), fix(1, latitude, -83.7 + 1e-3)];
+            let fixes = [(latitude + 1e-3, -83.7), (latitude, -83.7 + 1e-3)];
+            let fixes = fixes.map(|(latitude, longitude)| (fix(0, latitude, longitude), 0));
             let poses = poses(&fixes, &place);
             assert!(poses[0].pose.x_m.abs() < 1e-6 && (poses[0].pose.y_m - north_m).abs() < 2e-3);
             assert!((poses[1].pose.x_m - east_m).abs() < 2e-3 && poses[1].pose.y_m.abs() < 2e-3);
@@ -168,14 +185,41 @@ mod tests {
         let mut fixes: Vec<_> = (0..5).map(|k| fix(k, k as f64 * step_north, 0.0)).collect();
         fixes.extend((5..8).map(|k| fix(k, 4.0 * step_north, 0.0)));
         fixes.extend((8..12).map(|k| fix(k, 4.0 * step_north, (k - 7) as f64 * step_east)));
+        let fixes: Vec<_> = fixes.into_iter().map(|fix| (fix, 0)).collect();
         let place = Origin { latitude_deg: 0.0, longitude_deg: 0.0, altitude_m: 0.0 };
-        let headings: Vec<f64> = poses(&fixes, &place).iter().map(|p| p.pose.heading_rad).collect();
+        let headings_of = |fixes: &[(NavSatFix, u32)]| -> Vec<f64> {
+            let mut poses = poses(fixes, &place);
+            set_courses(&mut poses);
+            poses.iter().map(|p| p.pose.heading_rad).collect()
+        };
+        let headings = headings_of(&fixes);
         for (k, heading) in headings.iter().enumerate() {
             let expected = if k < 4 { FRAC_PI_2 } else { 0.0 };
             assert!((heading - expected).abs() < 1e-3, "{k}: {headings:?}");
         }
-        let still = poses(&fixes[5..8], &place);
-        assert!(still.iter().all(|p| p.pose.heading_rad == 0.0));
+        assert_eq!(headings_of(&fixes[5..8]), [0.0; 3]);
+        // In two segments, the first of which goes only north.
+        let mut poses = poses(&fixes, &place);
+        poses[8..].iter_mut().for_each(|p| p.segment = 1);
+        set_courses(&mut poses);
+        assert!((poses[7].pose.heading_rad - FRAC_PI_2).abs() < 1e-3);
+        assert!(poses[8].pose.heading_rad.abs() < 1e-3);
+    }
+
+    /// The height of a fix is used if its accuracy is known: 0.5 m is enough, 3 m is not.
+    #[test]
+    fn heights_are_used_if_they_are_accurate() {
+        let place = Origin { latitude_deg: 1.0, longitude_deg: 2.0, altitude_m: 10.0 };
+        let height = |altitude_m: f64, std_m: f64| {
+            let mut fix = NavSatFix { altitude_m, ..fix(0, 1.0, 2.0) };
+            fix.covariance[8] = std_m * std_m;
+            poses(&[(fix, 0)], &place)[0].z_m
+        };
+        assert!((height(14.0, 0.5).unwrap() - 4.0).abs() < 1e-6);
+        assert_eq!(
+            (height(14.0, 3.0), height(14.0, 0.0), height(f64::NAN, 0.5)),
+            (None, None, None)
+        );
     }
 
     #[test]
@@ -186,5 +230,8 @@ mod tests {
         assert_eq!(check(&fix(0, 0.0, 0.0)), Err(LossKind::GnssFixAtZero));
         assert_eq!(check(&fix(0, -90.0, 180.0)), Ok(()));
         assert_eq!(check(&fix(0, 0.0, 32.6)), Ok(()));
+        let absurd = NavSatFix { altitude_m: 1e300, ..fix(0, 1.0, 1.0) };
+        assert_eq!(check(&absurd), Err(LossKind::GnssFixOutOfRange));
+        assert_eq!(check(&fix(0, 1e300, 1.0)), Err(LossKind::GnssFixOutOfRange));
     }
 }

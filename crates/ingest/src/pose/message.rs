@@ -6,13 +6,30 @@ use messages::{MessageError, Source, read_pose_and_covariance};
 /// Largest accepted difference between the norm of a quaternion and 1.
 const MAX_NORM_ERROR: f64 = 0.01;
 
+/// Coordinates are smaller than this \[m\]. The circumference of the earth is 4e7 m, so no coordinate
+/// of a map, a map projection or an earth-centered frame is larger. Programs that fail write values such
+/// as 1e300.
+pub(crate) const MAX_COORDINATE_M: f64 = 1e8;
+
+/// A larger variance of a position or a heading means that it is not known \[m^2 or rad^2\].
+const MAX_VARIANCE: f64 = 1e12;
+
+/// Checks that a position is finite and possible.
+pub(crate) fn check_position(position: &[f64; 3]) -> Result<(), LossKind> {
+    if !position.iter().all(|v| v.is_finite()) {
+        return Err(LossKind::NonFiniteMessages);
+    }
+    match position.iter().all(|v| v.abs() < MAX_COORDINATE_M) {
+        true => Ok(()),
+        false => Err(LossKind::ImpossiblePositions { max_m: MAX_COORDINATE_M as u64 }),
+    }
+}
+
 /// Reads one pose message. The error is the kind of loss that the message is counted as.
 pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, LossKind> {
     let (pose, covariance) =
         read_pose_and_covariance(source, data).map_err(|error| undecodable(source, &error))?;
-    if !pose.position.iter().all(|v| v.is_finite()) {
-        return Err(LossKind::NonFiniteMessages);
-    }
+    check_position(&pose.position)?;
     let planar = Pose2 {
         x_m: pose.position[0],
         y_m: pose.position[1],
@@ -41,10 +58,10 @@ pub(crate) fn undecodable(source: Source, error: &MessageError) -> LossKind {
 
 /// The covariance of x, y and heading (xx, xy, xh, yy, yh, hh), selected from the (6, 6) covariance
 /// of (x, y, z, rotation about x, y, z), row by row. It is `None` if the covariance is not known,
-/// which messages express by zeros or a negative variance.
+/// which messages express by zeros, a negative variance or a very large one.
 pub(crate) fn planar_covariance(full: &[f64; 36]) -> Option<[f64; 6]> {
     let planar = [full[0], full[1], full[5], full[7], full[11], full[35]];
-    let is_known = planar.iter().all(|v| v.is_finite())
+    let is_known = planar.iter().all(|v| v.abs() < MAX_VARIANCE)
         && [planar[0], planar[3], planar[5]].iter().all(|variance| 0.0 < *variance);
     is_known.then_some(planar)
 }
@@ -136,6 +153,10 @@ mod tests {
     fn invalid_messages_are_refused() {
         assert_eq!(read([0.0; 4], 1.0), Err(LossKind::QuaternionNotNormalized));
         assert_eq!(read([0.0, 0.0, 0.0, 1.0], f64::NAN), Err(LossKind::NonFiniteMessages));
+        for x in [1e300, -1e9] {
+            let impossible = LossKind::ImpossiblePositions { max_m: 100_000_000 };
+            assert_eq!(read([0.0, 0.0, 0.0, 1.0], x), Err(impossible));
+        }
         let source = Source { message_type: MessageType::Odometry, encoding: Encoding::Cdr };
         let error = stamped_pose(source, &[0, 1, 0, 0]).unwrap_err();
         assert!(

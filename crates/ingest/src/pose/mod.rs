@@ -1,6 +1,9 @@
 //! Messages that describe the motion of the robot -> its trajectory.
 
+pub(crate) mod chain;
+pub(crate) mod clock;
 pub(crate) mod file;
+pub(crate) mod frame_names;
 pub(crate) mod frames;
 pub(crate) mod fusion;
 pub(crate) mod gnss;
@@ -11,6 +14,7 @@ pub(crate) mod live_wheels;
 pub(crate) mod message;
 pub(crate) mod readings;
 pub(crate) mod recorded;
+pub(crate) mod segments;
 pub(crate) mod topics;
 pub(crate) mod trajectory;
 pub(crate) mod twist;

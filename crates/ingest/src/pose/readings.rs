@@ -10,6 +10,7 @@ use messages::{
     read_odometry, read_transforms,
 };
 
+use crate::pose::frame_names::FrameNames;
 use crate::pose::frames::TransformHistory;
 use crate::pose::gnss;
 use crate::pose::joint_speeds::{JointReading, JointSet};
@@ -22,8 +23,12 @@ use crate::wheel_options::WheelsTopic;
 /// The motion measurements of a log, in the order of the log.
 #[derive(Debug, Default)]
 pub(crate) struct MotionReadings {
+    /// Poses. Their frames are numbers of `frame_names`.
     pub(crate) poses: Vec<StampedPose>,
-    pub(crate) fixes: Vec<NavSatFix>,
+    /// Satellite fixes, each with the number of its frame.
+    pub(crate) fixes: Vec<(NavSatFix, u32)>,
+    /// The frames of the poses and fixes.
+    pub(crate) frame_names: FrameNames,
     pub(crate) transforms: TransformHistory,
     /// Joints of the wheels.
     pub(crate) joints: Vec<JointReading>,
@@ -80,14 +85,16 @@ impl MotionReadings {
                 let mut fix = read_nav_sat_fix(source, data).map_err(undecodable)?;
                 fix.stamp_ns = selected(fix.stamp_ns);
                 gnss::check(&fix)?;
-                self.fixes.push(fix);
+                if let Some(frame) = self.frame(source, data, options) {
+                    self.fixes.push((fix, frame));
+                }
             }
             (MessageType::Tf | MessageType::FoxgloveFrameTransform, _) => {
                 let is_static = topic.ends_with("_static");
                 let transforms = read_transforms(source, data).map_err(undecodable)?;
                 for mut transform in transforms {
                     transform.stamp_ns = selected(transform.stamp_ns);
-                    self.transforms.add(&transform, is_static)?;
+                    self.transforms.add(&transform, is_static);
                 }
             }
             (MessageType::JointState, Some(wheels)) => {
@@ -105,10 +112,18 @@ impl MotionReadings {
             _ => {
                 let mut pose = stamped_pose(source, data)?;
                 pose.stamp_ns = selected(pose.stamp_ns);
-                self.poses.push(pose);
+                if let Some(frame) = self.frame(source, data, options) {
+                    self.poses.push(StampedPose { frame, ..pose });
+                }
             }
         }
         Ok(())
+    }
+
+    /// Counts the frame of a message. It is `None` if the options select another frame.
+    fn frame(&mut self, source: Source, data: &[u8], options: &PoseOptions) -> Option<u32> {
+        let ids = read_frame_ids(source, data).ok().flatten().unwrap_or_default();
+        self.frame_names.add(&ids, options.frame_id.as_deref())
     }
 
     /// Adds the wheels among the joints of a message.
@@ -151,12 +166,14 @@ impl MotionReadings {
         Ok(())
     }
 
-    /// Adds the readings of a later part of the log, except the transforms. Returns the number of
-    /// poses that are earlier than the previous pose.
-    pub(crate) fn extend(&mut self, later: Self) -> u64 {
-        let before = self.poses.len().saturating_sub(1);
-        self.poses.extend(later.poses);
-        self.fixes.extend(later.fixes);
+    /// Adds the readings of a later part of the log, except the transforms.
+    pub(crate) fn extend(&mut self, later: Self) {
+        let frames = self.frame_names.extend(later.frame_names);
+        let of = |frame: u32| frames.get(frame as usize).copied().unwrap_or(frame);
+        self.poses.extend(
+            later.poses.into_iter().map(|pose| StampedPose { frame: of(pose.frame), ..pose }),
+        );
+        self.fixes.extend(later.fixes.into_iter().map(|(fix, frame)| (fix, of(frame))));
         self.joints.extend(later.joints);
         self.odometry.extend(later.odometry);
         for (frames, n) in later.odometry_frames {
@@ -166,8 +183,6 @@ impl MotionReadings {
         for (frame_id, n) in later.imu_frames {
             *self.imu_frames.entry(frame_id).or_default() += n;
         }
-        let steps = self.poses[before.min(self.poses.len())..].windows(2);
-        steps.filter(|pair| pair[1].stamp_ns < pair[0].stamp_ns).count() as u64
     }
 
     /// Whether the poses come from a satellite receiver.

@@ -7,8 +7,14 @@ use crate::pose::message::yaw_rad;
 
 /// Longest mean time between the samples of a regular transform \[ns\].
 const REGULAR_PERIOD_NS: i64 = 1_000_000_000;
-/// A longer time between two samples of a regular transform is a gap \[ns\].
-const GAP_NS: i64 = 2_000_000_000;
+/// Two samples that are closer together than this have no gap between them \[ns\].
+const MIN_GAP_NS: i64 = 2_000_000_000;
+/// A transform is silent if the time between two samples is longer than this number of its own periods.
+/// Transforms that are published when they change have no fixed period: if they are exponentially
+/// distributed, 1.6 % of the times are longer than three times the period below.
+const GAP_PERIODS: i64 = 3;
+/// The period of a transform: this share of the times between its samples is not longer.
+const PERIOD_SHARE: f64 = 0.75;
 
 /// The samples of one transform, `parent_from_child`.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -19,6 +25,8 @@ pub(crate) struct RecordedTransform {
     is_static: bool,
     /// Length of the motion so far: metres plus radians.
     path_m_rad: f64,
+    /// A longer time between two samples is a gap \[ns\]. Known after [`RecordedTransform::sorted`].
+    gap_ns: i64,
 }
 
 impl RecordedTransform {
@@ -63,7 +71,34 @@ impl RecordedTransform {
     pub(crate) fn sorted(&self) -> Self {
         let mut sorted = self.clone();
         sorted.samples.sort_by_key(|(stamp_ns, _)| *stamp_ns);
+        let pairs = sorted.samples.windows(2);
+        let mut periods_ns: Vec<i64> = pairs.map(|p| p[1].0.saturating_sub(p[0].0)).collect();
+        periods_ns.sort_unstable();
+        let at = (PERIOD_SHARE * periods_ns.len().saturating_sub(1) as f64) as usize;
+        let period_ns = periods_ns.get(at).copied().unwrap_or(0);
+        sorted.gap_ns = period_ns.saturating_mul(GAP_PERIODS).max(MIN_GAP_NS);
         sorted
+    }
+
+    /// The samples, in the order of the log.
+    pub(crate) fn samples(&self) -> &[(i64, Isometry3<f64>)] {
+        &self.samples
+    }
+
+    /// Removes the samples at some times. Returns their number.
+    pub(crate) fn remove(&mut self, is_removed: impl Fn(i64) -> bool) -> u64 {
+        let before = self.samples.len();
+        if 1 < before {
+            self.samples.retain(|(stamp_ns, _)| !is_removed(*stamp_ns));
+        }
+        (before - self.samples.len()) as u64
+    }
+
+    /// The last sample before a stamp and the first sample at or after it, if the samples are in order
+    /// of time.
+    pub(crate) fn around(&self, stamp_ns: i64) -> Option<[(i64, Isometry3<f64>); 2]> {
+        let after = self.samples.partition_point(|(ns, _)| *ns < stamp_ns);
+        Some([*self.samples.get(after.checked_sub(1)?)?, *self.samples.get(after)?])
     }
 
     /// The stamp of the last sample of a regular transform; `None` for other transforms \[ns\].
@@ -78,18 +113,12 @@ impl RecordedTransform {
         last_ns.saturating_sub(*first_ns) / (n - 1) <= REGULAR_PERIOD_NS
     }
 
-    /// Whether a stamp is in a gap between two samples of a regular transform. The samples must be
-    /// in order of time.
+    /// Whether a stamp is in a gap between two samples: the time between them is much longer than the
+    /// period of the transform. The transform must be [`sorted`](RecordedTransform::sorted).
     pub(crate) fn is_in_gap(&self, stamp_ns: i64) -> bool {
-        let after = self.samples.partition_point(|(ns, _)| *ns < stamp_ns);
-        match (after.checked_sub(1).and_then(|k| self.samples.get(k)), self.samples.get(after)) {
-            (Some((before_ns, _)), Some((after_ns, _))) => {
-                *after_ns != stamp_ns
-                    && GAP_NS < after_ns.saturating_sub(*before_ns)
-                    && self.is_regular()
-            }
-            _ => false,
-        }
+        self.around(stamp_ns).is_some_and(|[(before_ns, _), (after_ns, _)]| {
+            after_ns != stamp_ns && self.gap_ns < after_ns.saturating_sub(before_ns)
+        })
     }
 
     /// The transform at a stamp, interpolated between samples in order of time. It is `None` before
@@ -179,21 +208,43 @@ mod tests {
         assert!((quarter - 0.025).abs() < 1e-5 && quarter != 0.025);
     }
 
+    fn recorded(stamps_s: impl IntoIterator<Item = f64>) -> RecordedTransform {
+        let mut recorded = RecordedTransform::default();
+        for s in stamps_s {
+            recorded.push((s * 1e9) as i64, transform([s, 0.0, 0.0], 0.0));
+        }
+        recorded
+    }
+
     #[test]
-    fn only_regular_transforms_have_gaps_and_an_end() {
-        let regular = |stamps_s: &[i64]| {
-            let mut recorded = RecordedTransform::default();
-            for s in stamps_s {
-                recorded.push(s * 1_000_000_000, transform([*s as f64, 0.0, 0.0], 0.0));
-            }
-            recorded
-        };
-        let dense = regular(&[0, 0, 0, 0, 1, 4]);
-        assert!(dense.is_in_gap(2_000_000_000) && !dense.is_in_gap(500_000_000));
-        assert_eq!(dense.at_or_last(5_000_000_000), None);
-        let sparse = regular(&[0, 4]);
-        assert!(!sparse.is_in_gap(2_000_000_000));
-        let last = sparse.at_or_last(5_000_000_000).unwrap();
+    fn only_regular_transforms_have_an_end() {
+        assert_eq!(recorded([0.0, 0.5, 1.0, 2.5]).at_or_last(5_000_000_000), None);
+        let last = recorded([0.0, 4.0]).at_or_last(5_000_000_000).unwrap();
         assert_eq!(last.translation.x, 4.0);
+    }
+
+    /// A transform is silent if it pauses for three of its own periods, and for 2 s at least.
+    #[test]
+    fn the_gaps_of_a_transform_are_judged_by_its_own_period() {
+        for (period_s, pause_s, is_silent) in [
+            (0.1, 1.9, false),
+            (0.1, 2.1, true),
+            (0.9, 2.6, false),
+            (0.9, 60.0, true),
+            (10.0, 29.0, false),
+            (10.0, 31.0, true),
+        ] {
+            let before = (0..20).map(|k| period_s * f64::from(k));
+            let resumed_s = 19.0 * period_s + pause_s;
+            let after = (0..20).map(|k| resumed_s + period_s * f64::from(k));
+            let sorted = recorded(before.chain(after)).sorted();
+            let middle_ns = (1e9 * (resumed_s - pause_s / 2.0)) as i64;
+            assert_eq!(sorted.is_in_gap(middle_ns), is_silent, "{period_s} s, {pause_s} s");
+            assert!(!sorted.is_in_gap((1.5e9 * period_s) as i64));
+            assert!(!sorted.is_in_gap(i64::MAX), "after the last sample there is no value");
+        }
+        // Two samples say nothing about a period.
+        assert!(!recorded([0.0, 100.0]).sorted().is_in_gap(50_000_000_000));
+        assert!(recorded([0.0, 1.0, 61.0]).sorted().is_in_gap(30_000_000_000));
     }
 }

@@ -4,16 +4,17 @@
 //! fused from wheels and an IMU.
 
 use dataset::{Loss, LossKind, Losses, Note, NoteKind, Pose2, StampedPose, Subject, Trajectory};
-use messages::NavSatFix;
 
 use crate::error::IngestError;
+use crate::pose::chain::ChainPoses;
+use crate::pose::frame_names::FrameNames;
 use crate::pose::frames::{LookupError, TransformHistory};
 use crate::pose::fusion::{FusedTopics, fused_poses};
 use crate::pose::gnss;
-use crate::pose::jumps::jumps;
 use crate::pose::readings::MotionReadings;
+use crate::pose::segments::{SegmentOptions, segments};
 use crate::pose::topics::PoseTopics;
-use crate::pose_options::{Frames, Origin, PoseOptions};
+use crate::pose_options::{Frames, Jumps, Origin, PoseOptions};
 
 /// The source of the poses of a drive.
 pub(crate) struct PoseSource<'a> {
@@ -30,16 +31,23 @@ pub(crate) struct PoseSource<'a> {
 /// Computes the trajectory of the lidar. Adds data that was left out to `losses` and remarks to
 /// `notes`.
 pub(crate) fn trajectory(
-    readings: MotionReadings,
+    mut readings: MotionReadings,
     source: &PoseSource<'_>,
     losses: &mut Losses,
     notes: &mut Vec<Note>,
 ) -> Result<Trajectory, IngestError> {
     let options = source.options;
     let main_topic = &source.topics.main().name;
+    let names = std::mem::take(&mut readings.frame_names);
+    let mut repeated_ns = Vec::new();
+    let mut same_frame = options.jumps == Jumps::SameFrame;
+    let is_fixes = !readings.fixes.is_empty();
     let robot_poses = match (source.topics, &options.frames) {
         (PoseTopics::Frames(_), Some(frames)) => {
-            source.poses_from_transforms(&readings.transforms, frames, losses, notes)?
+            let found =
+                source.poses_from_transforms(&readings.transforms, frames, losses, notes)?;
+            repeated_ns = found.repeated_ns;
+            found.poses
         }
         (PoseTopics::Wheels { imu, .. }, _) => {
             let imu = imu.as_ref().map(|imu| imu.name.as_str());
@@ -47,25 +55,41 @@ pub(crate) fn trajectory(
             fused_poses(&readings, &topics, options, losses, notes)?
         }
         _ => match readings.fixes.first() {
-            Some(first) => {
+            Some((first, _)) => {
                 let origin = options.origin.unwrap_or(gnss::origin(first));
-                notes.push(note_of_fixes(&readings.fixes, &origin).into());
+                notes.push(note_of_fixes(readings.fixes.len(), &origin).into());
+                // All fixes are on the same earth.
+                same_frame = true;
                 gnss::poses(&readings.fixes, &origin)
             }
             None => readings.poses,
         },
     };
-    let lidar_poses =
-        robot_poses.iter().map(|robot| lidar_pose(robot, &source.base_from_lidar)).collect();
-    let (trajectory, n_duplicates) = Trajectory::new(lidar_poses);
-    let duplicates = Loss::new(LossKind::DuplicatePoseStamps, Subject::topic(main_topic));
-    losses.add(duplicates, n_duplicates as u64);
+    source.check_frames(&names, &robot_poses, losses, notes)?;
+    let segment_options = SegmentOptions { max_speed_m_s: options.max_speed_m_s, same_frame };
+    let mut segmented = segments(&robot_poses, &segment_options, repeated_ns);
+    losses.merge(std::mem::take(&mut segmented.losses).on_topic(main_topic));
+    if let Some((n_contradictory, n_poses)) = segmented.contradiction() {
+        return Err(source.contradictory(n_contradictory, n_poses));
+    }
+    let on_topic = |kind| Note::new(kind, Subject::topic(main_topic));
+    notes.extend(std::mem::take(&mut segmented.notes).into_iter().map(on_topic));
+    if is_fixes {
+        gnss::set_courses(&mut segmented.poses);
+    }
+    let robot_poses = segmented.poses.iter();
+    let lidar_poses = robot_poses.map(|robot| lidar_pose(robot, &source.base_from_lidar)).collect();
+    let (trajectory, _) = Trajectory::new(lidar_poses);
     if trajectory.poses().is_empty() {
         return Err(source.no_poses(losses));
     }
-    let jumps = jumps(&trajectory, options.max_speed_m_s);
-    notes.extend(jumps.map(|kind| Note::new(kind, Subject::topic(main_topic))));
-    Ok(trajectory)
+    let frame_id = match &options.frames {
+        Some(frames) => Some(frames.parent.trim_start_matches('/').to_owned()),
+        // The frame of a fix is that of the antenna.
+        None if is_fixes => None,
+        None => names.first(),
+    };
+    Ok(trajectory.in_frame(frame_id))
 }
 
 impl PoseSource<'_> {
@@ -76,15 +100,66 @@ impl PoseSource<'_> {
         frames: &Frames,
         losses: &mut Losses,
         notes: &mut Vec<Note>,
-    ) -> Result<Vec<StampedPose>, IngestError> {
+    ) -> Result<ChainPoses, IngestError> {
         let Frames { parent, child, .. } = frames;
-        let (poses, n_unknown) = transforms
+        losses.merge(transforms.losses());
+        let found = transforms
             .poses(parent, child, self.upside_down)
             .map_err(|error| self.no_frames(error, frames, transforms))?;
         notes.extend(transforms.notes().map(Note::from));
-        let subject = Subject::transform(parent, child);
-        losses.add(Loss::new(LossKind::PosesWithoutTransform, subject), n_unknown);
-        Ok(poses)
+        let subject = || Subject::transform(parent, child);
+        losses.add(Loss::new(LossKind::PosesWithoutTransform, subject()), found.n_unknown);
+        losses.add(Loss::new(LossKind::PosesAtRepeatedTimes, subject()), found.n_repeated);
+        notes.extend(found.clock_note.clone().map(|kind| Note::new(kind, subject())));
+        Ok(found)
+    }
+
+    /// Checks that the poses come from one publisher.
+    fn check_frames(
+        &self,
+        names: &FrameNames,
+        poses: &[StampedPose],
+        losses: &Losses,
+        notes: &mut Vec<Note>,
+    ) -> Result<(), IngestError> {
+        let topic = || self.topics.main().name.clone();
+        let n_other = names.n_not_selected();
+        if poses.is_empty() {
+            return match &self.options.frame_id {
+                Some(selected) if 0 < n_other => Err(IngestError::NoPoseFrame {
+                    path: self.path.to_owned(),
+                    topic: topic(),
+                    selected: selected.clone(),
+                    frames: names.list(),
+                }),
+                _ => Err(self.no_poses(losses)),
+            };
+        }
+        if FrameNames::are_mixed(poses) {
+            return Err(IngestError::SeveralPoseFrames {
+                path: self.path.to_owned(),
+                topic: topic(),
+                frames: names.list(),
+            });
+        }
+        let frames = names.list();
+        let found = [
+            (1 < names.len(), NoteKind::PoseFrameChanges { frames: frames.clone() }),
+            (0 < n_other, NoteKind::PoseFrameSelected { n_other, frames }),
+        ];
+        let found = found.into_iter().filter(|(is_found, _)| *is_found);
+        notes.extend(found.map(|(_, kind)| Note::new(kind, Subject::topic(topic()))));
+        Ok(())
+    }
+
+    fn contradictory(&self, n_contradictory: usize, n_poses: usize) -> IngestError {
+        let topic = self.topics.main().name.clone();
+        IngestError::ContradictoryPoses {
+            path: self.path.to_owned(),
+            topic,
+            n_contradictory,
+            n_poses,
+        }
     }
 
     fn no_poses(&self, losses: &Losses) -> IngestError {
@@ -100,6 +175,7 @@ impl PoseSource<'_> {
     ) -> IngestError {
         let names: Vec<String> =
             transforms.frame_names().iter().map(|name| format!("`{name}`")).collect();
+        let dropped = transforms.losses();
         IngestError::NoFrames {
             path: self.path.to_owned(),
             parent: frames.parent.clone(),
@@ -108,6 +184,7 @@ impl PoseSource<'_> {
                 [] => "no readable transforms".to_owned(),
                 names => format!("the frames {}", names.join(", ")),
             },
+            losses: dropped,
             source,
         }
     }
@@ -136,9 +213,9 @@ fn lidar_pose(map_from_base: &StampedPose, base_from_lidar: &Pose2) -> StampedPo
     StampedPose { pose: map_from_lidar, covariance, ..*map_from_base }
 }
 
-fn note_of_fixes(fixes: &[NavSatFix], origin: &Origin) -> NoteKind {
+fn note_of_fixes(n_fixes: usize, origin: &Origin) -> NoteKind {
     NoteKind::PosesFromFixes {
-        n_fixes: fixes.len() as u64,
+        n_fixes: n_fixes as u64,
         latitude_deg: origin.latitude_deg,
         longitude_deg: origin.longitude_deg,
         altitude_m: origin.altitude_m,

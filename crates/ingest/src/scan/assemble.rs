@@ -70,8 +70,6 @@ struct Counts {
     n_returns: u64,
     n_sorted_clouds: u64,
     n_clouds_of_other_clock: u64,
-    /// Poses that are earlier than the pose before.
-    n_poses_back: u64,
     n_messages: u64,
     /// Whether a part of a piece could not be read.
     is_damaged: bool,
@@ -152,7 +150,7 @@ impl Assembler {
             self.motion.prune_transforms(options);
         }
         self.deskewer.add_readings(&next, &self.motion);
-        self.counts.n_poses_back += self.motion.extend(next);
+        self.motion.extend(next);
     }
 
     fn build_scans(&mut self, ready: Vec<ReadyScan>) -> Vec<Scan> {
@@ -219,9 +217,6 @@ impl Assembler {
         let on_lidar = |kind| Note::new(kind, Subject::topic(&lidar.name));
         notes.extend(self.deskewer.notes().into_iter().map(on_lidar));
         notes.extend(self.lidar_notes(&packets).into_iter().map(on_lidar));
-        if 0 < self.counts.n_poses_back {
-            notes.push(NoteKind::PosesReordered { n_poses: self.counts.n_poses_back }.into());
-        }
         let pose_topics = pose.map(PoseTopics::all).unwrap_or_default();
         let observed = Observed {
             path,

@@ -98,7 +98,8 @@ struct Found {
     /// Number of packets of other Velodyne models, by model name.
     foreign: BTreeMap<&'static str, u64>,
     poses: Vec<StampedPose>,
-    fixes: Vec<NavSatFix>,
+    /// Satellite fixes, all with frame 0.
+    fixes: Vec<(NavSatFix, u32)>,
     /// The names in each kind of `JointState` message.
     joints: BTreeSet<Vec<String>>,
     /// The transforms, by parent and child.
@@ -220,7 +221,7 @@ impl Found {
             MessageType::NavSatFix => {
                 let fix = read_nav_sat_fix(source, data).map_err(undecodable)?;
                 gnss::check(&fix)?;
-                self.fixes.push(fix);
+                self.fixes.push((fix, 0));
             }
             other if POSE_TYPES.contains(&other) => {
                 self.poses.push(stamped_pose(source, data)?);
@@ -372,7 +373,7 @@ impl Gathered {
                 found.scans.take().map_or(Content::Other, Content::Scans)
             }
             Some(pose) if POSE_TYPES.contains(&pose) => {
-                if let Some(first) = found.fixes.first() {
+                if let Some((first, _)) = found.fixes.first() {
                     found.poses = gnss::poses(&found.fixes, &gnss::origin(first));
                 }
                 let (trajectory, n_duplicates) = Trajectory::new(std::mem::take(&mut found.poses));

@@ -1,0 +1,203 @@
+//! Poses in the order of the file -> pieces in which the clock does not step back.
+//!
+//! Stamps can go back for two reasons. A message can be late: the recorder received it, or a tool wrote
+//! it, after newer ones. Sorting by stamp puts it back in its place. Or the clock of the computer was
+//! set back (NTP, a restarted simulation). Then two parts of the drive have the same times, and sorting
+//! would mix them. The positions show which it is: the order in which the path is shorter is right.
+
+use std::ops::Range;
+
+use dataset::{NoteKind, StampedPose};
+
+/// Poses that go back by up to this time are late \[ns\]. The same limit applies to packets.
+const LATE_NS: i64 = 500_000_000;
+/// If sorting by stamp makes the path longer by this factor, the clock stepped back. If the clock steps
+/// back by two periods or more, the sorted path zigzags and is at least twice as long. A late pose makes
+/// the path in the order of the file longer.
+const LONGER: f64 = 1.25;
+/// Between two parts without common times, a smaller difference of the distances says nothing \[m\].
+const MIN_DIFFERENCE_M: f64 = 1.0;
+/// Largest number of poses after a step back that are compared with those before. This bounds the time that a
+/// log with many steps takes.
+const MAX_COMPARED: usize = 500;
+
+/// The pieces of poses in the order of the file.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct ClockPieces {
+    /// The pieces, in the order of the file. The clock steps back between two pieces.
+    pub(crate) pieces: Vec<Range<usize>>,
+    /// Number of poses within the pieces that are earlier than the pose before.
+    pub(crate) n_late: u64,
+    /// The time by which the clock steps back after each piece but the last \[ns\].
+    pub(crate) steps_ns: Vec<i64>,
+}
+
+impl ClockPieces {
+    /// Finds the pieces.
+    pub(crate) fn of(poses: &[StampedPose]) -> Self {
+        let mut found = Self::default();
+        let Some(first) = poses.first() else { return found };
+        let (mut start, mut newest_ns, mut at) = (0, first.stamp_ns, 1);
+        while let Some(pose) = poses.get(at) {
+            if newest_ns <= pose.stamp_ns {
+                newest_ns = pose.stamp_ns;
+                at += 1;
+                continue;
+            }
+            let back = poses[at..].iter().take_while(|p| p.stamp_ns < newest_ns);
+            let back_ns = newest_ns.saturating_sub(pose.stamp_ns);
+            let compared = &poses[at..at + back.clone().take(MAX_COMPARED).count()];
+            if LATE_NS < back_ns && is_clock_step(&poses[start..at], compared) {
+                found.pieces.push(start..at);
+                found.steps_ns.push(back_ns);
+                (start, newest_ns) = (at, pose.stamp_ns);
+                at += 1;
+            } else {
+                let end = at + back.count();
+                let with_previous = &poses[at - 1..end];
+                let is_back = |pair: &&[StampedPose]| pair[1].stamp_ns < pair[0].stamp_ns;
+                found.n_late += with_previous.windows(2).filter(is_back).count() as u64;
+                at = end;
+            }
+        }
+        found.pieces.push(start..poses.len());
+        found
+    }
+
+    /// A note with the number of steps and the largest one, if there are any.
+    pub(crate) fn note(&self, poses: &[StampedPose]) -> Option<NoteKind> {
+        let largest_ns = self.steps_ns.iter().max()?;
+        let first = poses.get(self.pieces.get(1)?.start)?;
+        Some(NoteKind::PoseClockStepsBack {
+            n_steps: self.steps_ns.len() as u64,
+            largest_s: *largest_ns as f64 * 1e-9,
+            stamp_ns: first.stamp_ns,
+        })
+    }
+
+    /// The intervals of time that more than one piece covers, from the first to the last stamp of each,
+    /// in order of time \[ns\]. They do not overlap.
+    pub(crate) fn repeated_ns(&self, poses: &[StampedPose]) -> Vec<(i64, i64)> {
+        let mut covered: Vec<(i64, i64)> = (self.pieces.iter())
+            .filter_map(|piece| {
+                let stamps = || poses[piece.clone()].iter().map(|p| p.stamp_ns);
+                Some((stamps().min()?, stamps().max()?))
+            })
+            .collect();
+        covered.sort_unstable();
+        let mut repeated: Vec<(i64, i64)> = Vec::new();
+        let mut newest_ns = i64::MIN;
+        for (first_ns, last_ns) in covered {
+            if first_ns <= newest_ns {
+                let (from_ns, to_ns) = (first_ns, last_ns.min(newest_ns));
+                match repeated.last_mut() {
+                    Some((_, end_ns)) if from_ns <= *end_ns => *end_ns = to_ns.max(*end_ns),
+                    _ => repeated.push((from_ns, to_ns)),
+                }
+            }
+            newest_ns = newest_ns.max(last_ns);
+        }
+        repeated
+    }
+}
+
+/// Whether the clock stepped back between two parts of the file. The poses in `back` are earlier than
+/// the newest one in `before`.
+fn is_clock_step(before: &[StampedPose], back: &[StampedPose]) -> bool {
+    let stamps = || back.iter().map(|p| p.stamp_ns);
+    let (Some(first_ns), Some(last_ns)) = (stamps().min(), stamps().max()) else { return false };
+    let newest = back.iter().max_by_key(|p| p.stamp_ns);
+    let [Some(oldest), Some(last), Some(next), Some(newest)] =
+        [before.first(), before.last(), back.first(), newest]
+    else {
+        return false;
+    };
+    if last_ns < oldest.stamp_ns {
+        // No common times: the parts belong together where the robot is at the same place.
+        let in_file_m = last.pose.distance_m(&next.pose);
+        return in_file_m + MIN_DIFFERENCE_M < newest.pose.distance_m(&oldest.pose);
+    }
+    // The poses before are in order of time, except for late ones, so this is nearly exact.
+    let common = &before[before.partition_point(|p| p.stamp_ns < first_ns)..];
+    let common = &common[..common.partition_point(|p| p.stamp_ns <= last_ns)];
+    let mut by_stamp: Vec<StampedPose> = common.iter().chain(back).copied().collect();
+    by_stamp.sort_by_key(|p| p.stamp_ns);
+    LONGER * (path_m(common) + path_m(back)) < path_m(&by_stamp)
+}
+
+fn path_m(poses: &[StampedPose]) -> f64 {
+    poses.windows(2).map(|pair| pair[0].pose.distance_m(&pair[1].pose)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dataset::Pose2;
+
+    /// A robot that drives 2 m/s along x. `(stamp, time since the start)` in tenths of a second.
+    fn poses(times: impl IntoIterator<Item = (i64, i64)>) -> Vec<StampedPose> {
+        let pose = |(stamp, at): (i64, i64)| {
+            let pose = Pose2 { x_m: 0.2 * at as f64, y_m: 0.0, heading_rad: 0.0 };
+            StampedPose::new(stamp * 100_000_000, pose)
+        };
+        times.into_iter().map(pose).collect()
+    }
+
+    /// Pieces, late poses, and the repeated times in tenths of a second.
+    fn check(poses: &[StampedPose], pieces: &[Range<usize>], n_late: u64, repeated: &[(i64, i64)]) {
+        let found = ClockPieces::of(poses);
+        assert_eq!(found.pieces, pieces);
+        assert_eq!(found.n_late, n_late);
+        assert_eq!(found.steps_ns.len() + 1, pieces.len());
+        let tenths = |(a, b): (i64, i64)| (a / 100_000_000, b / 100_000_000);
+        assert_eq!(found.repeated_ns(poses).into_iter().map(tenths).collect::<Vec<_>>(), repeated);
+    }
+
+    /// The clock steps back by 3 s after 10 s: 7.0 to 9.9 s occur twice.
+    #[test]
+    fn a_clock_that_steps_back_starts_a_piece() {
+        let times = (0..200).map(|at| (if at < 100 { at } else { at - 30 }, at));
+        check(&poses(times), &[0..100, 100..200], 0, &[(70, 99)]);
+        // A simulation that starts again twice, after 10 s and after 5 s.
+        let times = (0..200).map(|at| (if at < 150 { at % 100 } else { at - 150 }, at));
+        check(&poses(times), &[0..100, 100..150, 150..200], 0, &[(0, 49)]);
+    }
+
+    /// The clock is 1 h ahead for 2 s: no time occurs twice.
+    #[test]
+    fn a_clock_that_is_set_at_the_start_repeats_no_time() {
+        let times = (0..100).map(|at| (if at < 20 { 36_000 + at } else { at }, at));
+        check(&poses(times), &[0..20, 20..100], 0, &[]);
+    }
+
+    #[test]
+    fn late_poses_are_no_step() {
+        // One pose is 2 s late; ten poses are 3 s late; two poses change places.
+        let mut order: Vec<i64> = (0..100).collect();
+        let one = order.remove(20);
+        order.insert(40, one);
+        check(&poses(order.iter().map(|&t| (t, t))), &[0..100], 1, &[]);
+        let mut order: Vec<i64> = (0..50).chain(60..100).collect();
+        order.splice(80..80, 50..60);
+        check(&poses(order.iter().map(|&t| (t, t))), &[0..100], 1, &[]);
+        // Two threads of a recorder that write every other pose, one of them 2 s late.
+        let order = (0..100).flat_map(|t| [2 * t, (2 * t - 19).max(1)]);
+        check(&poses(order.map(|t| (t, t))), &[0..200], 99, &[]);
+        // The second file of a drive starts with a copy of the last 2 s of the first.
+        let order = (0..100).chain(80..150);
+        check(&poses(order.map(|t| (t, t))), &[0..170], 1, &[]);
+        // The second half of the drive is first in the file.
+        let order = (50..100).chain(0..50);
+        check(&poses(order.map(|t| (t, t))), &[0..100], 1, &[]);
+        // A robot that stands still.
+        let times = (0..100).map(|at| (if at < 50 { at } else { at - 20 }, 0));
+        check(&poses(times), &[0..100], 1, &[]);
+    }
+
+    /// Stamps that only go down are late, not one piece each.
+    #[test]
+    fn stamps_in_reverse_order_are_one_piece() {
+        check(&poses((0..100).rev().map(|t| (10 * t, t))), &[0..100], 99, &[]);
+        assert_eq!(ClockPieces::of(&[]), ClockPieces::default());
+    }
+}
