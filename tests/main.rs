@@ -13,6 +13,7 @@ mod errors;
 mod evidence;
 mod faults_import;
 mod faults_labels;
+mod faults_poses;
 mod faults_program;
 mod faults_scans;
 mod faults_wheels;

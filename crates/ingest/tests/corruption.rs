@@ -16,7 +16,7 @@ use common::{
     Entry, cloud_log, coarse_packet_log, codes, ingest_bytes, ingest_file, options, planar_log,
     small_chunks, write,
 };
-use dataset::Scan;
+use dataset::{Scan, StampedPose};
 use ingest::{IngestError, Ingested, Options};
 use mcap::records::op;
 use mcap::{Compression, WriteOptions};
