@@ -157,7 +157,8 @@ impl Confidences {
     }
 }
 
-/// Scores the pairs of one log that are at least the minimum separation apart along the path. Every
+/// Scores the pairs of one log that are at least the minimum separation apart along the path. It is
+/// not known whether pairs between two coordinate frames match, so they are left out. Every
 /// `stride`-th keyframe is a query and is paired with all keyframes before it.
 fn score_log(
     setup: &Setup<'_>,
@@ -179,7 +180,8 @@ fn score_log(
                 let query = log[place];
                 for &reference in &log[..place] {
                     let [a, b] = [query, reference].map(|k| &data.keyframes[k]);
-                    if (a.travel_m - b.travel_m).abs() < min_separation_m {
+                    let is_recent = (a.travel_m - b.travel_m).abs() < min_separation_m;
+                    if is_recent || !rules.shares_frame(query, reference) {
                         continue;
                     }
                     let [row_a, row_b] = [query, reference].map(|k| data.features.row(k));

@@ -45,6 +45,11 @@ impl<'a> Rules<'a> {
         }
     }
 
+    /// Whether the poses of two keyframes can be compared.
+    pub fn shares_frame(&self, query: usize, reference: usize) -> bool {
+        self.frames[query] == self.frames[reference]
+    }
+
     /// The frame of each keyframe, `(n_keyframes,)`.
     pub(crate) fn frames(&self) -> &[u32] {
         &self.frames
