@@ -276,7 +276,10 @@ fn the_report_states_what_was_not_validated() {
     let workplace = workplace(&[("a", &a), ("b", &b)]);
     let set = ["--set", "evaluate.groupings=['pair', 'log']"];
     let finished = workplace.command("run", "out", &set).expect(3);
-    finished.says(&["warning[two_groups]: grouping `log` not evaluated: ", "add a third"]);
+    let finished =
+        finished.says(&["warning[two_groups]: grouping `log` not evaluated: ", "add a third"]);
+    let line = "evaluate   not validated on unseen ground";
+    assert!(finished.stdout.contains(line), "{}", finished.stdout);
     let report = || fs::read_to_string(workplace.path("out/report.html")).unwrap();
     let statement = "Not validated on unseen ground";
     assert!(report().contains(statement));

@@ -205,7 +205,7 @@ codes! {
             n_revisits_left_out: u64,
             /// Positives with more than half of the allowed difference.
             n_near_limit: u64,
-        } => "{n_pairs} pairs close to each other in the plane are more than {max_height_difference_m} m apart in height and not used as positives, among them {n_revisits_left_out} of {} revisits; {n_near_limit} positives differ by more than half of this: if the robot drove on one floor, the heights drift: raise `label.max_height_difference_m`",
+        } => "{n_pairs} pairs close to each other in the plane are more than {max_height_difference_m} m apart in height and not used as positives, among them {n_revisits_left_out} of {} revisits; {n_near_limit} of the positives differ by more than half of this; if the robot drove on one floor only, its heights drift: raise `label.max_height_difference_m`",
             n_revisits + n_revisits_left_out;
         /// Pairs were left out because a log has several coordinate frames.
         Info "pairs_between_frames" PairsBetweenFrames {

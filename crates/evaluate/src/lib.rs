@@ -67,6 +67,8 @@ pub struct Input<'a> {
     pub place_m: f64,
     /// Height of a place for the spread of the pairs, where keyframes have a height \[m\].
     pub max_height_difference_m: f64,
+    /// Margin between training and test ground of the grouping `place` \[m\].
+    pub place_margin_m: f64,
     /// The scores of the pairs, `(n_learners * n_groupings,)`.
     pub scores: &'a [Scores],
     /// For each requested grouping that could not be evaluated, the reason.
@@ -167,7 +169,7 @@ impl Evaluation {
     }
 
     /// Whether pairs were scored by classifiers that were trained on other ground.
-    pub(crate) fn is_validated_on_unseen_ground(&self) -> bool {
+    pub fn is_validated_on_unseen_ground(&self) -> bool {
         self.groupings().contains(&"place")
     }
 

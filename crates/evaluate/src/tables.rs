@@ -14,7 +14,7 @@ use crate::{Confusion, ErrorRow, Evaluation, Input, Mistake, PrCurve, Summary};
 ///
 /// | table | a row is | columns |
 /// |---|---|---|
-/// | `summary` | a measure of a learner after the last round | `learner`, `grouping`, `rounds`, `folds`, `groups`, `measure` (`error`, `average_precision`, `recall_at_full_precision`, `detection_at_1_percent`, `max_f1`), `value`, `low` and `high` (the 95 % interval; null with too few groups) |
+/// | `summary` | a measure of a learner after the last round | `learner`, `grouping`, `rounds`, `folds`, `groups`, `measure` (`error`, `average_precision`, `recall_at_full_precision`, `detection_at_1_percent`, `max_f1`), `value`, `low` and `high` (the 95 % interval; null with too few groups, and where a bootstrap cannot estimate it) |
 /// | `errors` | a learner after T rounds | `learner`, `grouping`, `rounds`, `error`, `precision` (null if no pair is classified as positive), `recall`, and the four counts |
 /// | `precision_recall` | a threshold | `learner`, `grouping`, `rounds`, `threshold`, `precision`, `recall`, `false_alarm` |
 /// | `selection` | a round of a fit | `learner`, `grouping`, `fold`, `other_fold` (null if trained on all pairs), `round`, `feature`, `threshold`, `weighted_error`, `error` (cross-validated, after this round; only if trained on all pairs) |

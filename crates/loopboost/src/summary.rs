@@ -29,6 +29,8 @@ pub(crate) enum Summary {
     Trained { model: String, version: String, rounds: u64, errors: Vec<GroupingError> },
     /// Errors of a learner by a grouping, after some rounds.
     Evaluated { learner: String, grouping: String, errors: Vec<RoundsError> },
+    /// No learner was tested on ground that it was not trained on.
+    NotValidatedOnUnseenGround,
     /// A file for people.
     Written { file: String },
 }
@@ -93,6 +95,9 @@ impl fmt::Display for Summary {
                     })
                     .collect();
                 write!(f, "{learner} by {grouping}: error {}", errors.join(", "))
+            }
+            Self::NotValidatedOnUnseenGround => {
+                f.write_str("not validated on unseen ground: no result for the grouping `place`")
             }
             Self::Written { file } => f.write_str(file),
         }

@@ -50,6 +50,9 @@ fn grouping_section(
             (n_groups) " " (grouping_unit(grouping)) ", split into " (n_folds) " folds. Each classifier is trained on " (fewest)
             @if fewest < most { " to " (most) }
             " pairs."
+            @if grouping == "place" && 0.0 < input.place_margin_m {
+                " None of their scans is closer than " (input.place_margin_m) "\u{a0}m to the ground that the classifier is tested on."
+            }
             @if n_groups < MIN_GROUPS { " No intervals: fewer than " (MIN_GROUPS) " " (grouping_unit(grouping)) "." }
             @else if input.resamples == 0 { " No intervals: " code { "evaluate.resamples" } " is 0." }
         }

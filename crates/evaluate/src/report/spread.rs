@@ -13,7 +13,7 @@ pub(super) fn section(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
             h2 { "Labelled pairs" }
             p {
                 "A place is a square of ground " (input.place_m) "\u{a0}m wide. A pair counts for the place of the scan whose place has more scans. "
-                "Results are worth more the more places the pairs are spread over. "
+                "The more places the pairs are from, the more likely the results hold elsewhere. "
                 code { "label.max_place_share" } " limits the share of one place."
             }
             div class="scroll" {

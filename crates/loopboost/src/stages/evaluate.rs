@@ -51,6 +51,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         pairs: &pairs,
         place_m: run.config.label.place_m,
         max_height_difference_m: run.config.label.max_height_difference_m,
+        place_margin_m: run.config.evaluate.place_margin_m,
         features: &features,
         feature_usefulness: &feature_usefulness,
         scores: &scores,
@@ -69,6 +70,9 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
 
     let outputs = write(run, provenance, &input, &evaluation, &sketches, (&digests, &options))?;
     let mut summaries = summaries(&input, &evaluation);
+    if !evaluation.is_validated_on_unseen_ground() {
+        summaries.push(Summary::NotValidatedOnUnseenGround);
+    }
     summaries.push(Summary::Written { file: Artifact::Report.pattern().to_owned() });
     Ok(Done { outputs, summaries, ..Done::default() })
 }
