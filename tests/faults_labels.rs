@@ -217,7 +217,7 @@ fn heights_that_drift_too_far_are_reported() {
     workplace.command("subsample", "out", &[]).expect(0);
     let finished = workplace.command("label", "out", &[]).expect(3);
     finished.says(&["warning[heights_in_doubt]", "raise `label.max_height_difference_m`"]);
-    let raised = ["--set", "label.max_height_difference_m=6"];
+    let raised = ["--set", "label.max_height_difference_m=12"];
     workplace.command("label", "out", &raised).expect(0);
 }
 
@@ -293,7 +293,9 @@ fn the_report_states_what_was_not_validated() {
     workplace.command("run", "out", &one).expect(3).says(&["warning[too_few_groups]"]);
     assert!(report().contains(statement) && report().contains("it needs 2 places or more"));
 
-    let place = ["--set", "evaluate.groupings=['place']"];
+    let smaller =
+        ["evaluate.groupings=['place']", "evaluate.place_m=10", "label.negative_min_m=30"];
+    let place: Vec<&str> = smaller.iter().flat_map(|&set| ["--set", set]).collect();
     workplace.command("run", "out", &place).expect(0);
     assert!(!report().contains(statement));
 

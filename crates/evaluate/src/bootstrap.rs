@@ -20,14 +20,11 @@ use dataset::{Label, Scores, SplitMix64, quantile};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::exact;
+use crate::exact::{self, COVERED};
 use crate::metrics::{MAX_FALSE_ALARM, Measures, Ranking};
 
 /// Least number of groups for an interval. Fewer do not show the variation between groups.
 pub const MIN_GROUPS: usize = 5;
-
-/// Share of the resamples inside an interval.
-pub(crate) const COVERED: f64 = 0.95;
 
 /// Least number of false alarms that 1 % of the negatives must allow for an interval of the
 /// detection rate. With fewer, the threshold is almost an extreme value. (The same number of

@@ -11,7 +11,8 @@
 
 use dataset::Label;
 
-use crate::bootstrap::COVERED;
+/// Share of the possible values inside an interval.
+pub(crate) const COVERED: f64 = 0.95;
 
 /// The pairs that were classified without an error.
 #[derive(Debug, Clone, Copy)]

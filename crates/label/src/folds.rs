@@ -111,7 +111,6 @@ pub fn assign_folds(
     let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
     let keys: Vec<u64> =
         pairs.iter().map(|p| pair_key(hashes[p.query], hashes[p.reference])).collect();
-    let blocks = Blocks::new(keyframes, place_m);
     let groups = match grouping {
         Grouping::Pair => {
             let folds = assign_pairs(n_folds, &keys, pairs)?;
@@ -127,64 +126,60 @@ pub fn assign_folds(
             });
         }
         Grouping::Scan => Groups { keyframe_groups: (0..keyframes.len() as u32).collect(), hashes },
-        Grouping::Place => {
-            let names = blocks.of_keyframes.iter().zip(keyframes);
-            Groups::by(
-                names.map(|(&(frame, x, y), k)| (frame, &*k.site, x, y)),
-                |(_, site, x, y)| {
-                    name_hash(seed, &[site.as_bytes(), &x.to_le_bytes(), &y.to_le_bytes()])
-                },
-            )
-        }
+        Grouping::Place => Blocks::new(keyframes, place_m).groups(keyframes, seed),
         Grouping::Log => Groups::by(keyframes.iter().map(|k| &*k.id.log), |log| {
             name_hash(seed, &[log.as_bytes()])
         }),
     };
-    let n_groups = groups.hashes.len();
-    if n_groups < 2 {
-        return Err(LabelError::TooFewGroups {
-            grouping: grouping.name(),
-            groups: grouping.groups(),
-            found: n_groups,
-        });
-    }
-    let n_folds = n_folds.min(n_groups as u32);
-    let group_folds = groups.assign(n_folds);
-    let keyframe_folds: Vec<u32> =
-        groups.keyframe_groups.iter().map(|&group| group_folds[group as usize]).collect();
     let ends = |of: &[u32]| -> Vec<[u32; 2]> {
         pairs.iter().map(|p| [of[p.query], of[p.reference]]).collect()
     };
+    let of_pairs = ends(&groups.keyframe_groups);
+    check_groups(grouping, groups.hashes.len(), &of_pairs)?;
+    let n_folds = n_folds.min(groups.hashes.len() as u32);
+    let group_folds = groups.assign(n_folds);
+    let keyframe_folds: Vec<u32> =
+        groups.keyframe_groups.iter().map(|&group| group_folds[group as usize]).collect();
     let folds = ends(&keyframe_folds);
-    if n_folds == 2 && groups.hashes.len() == 2 {
-        let n_between = folds.iter().filter(|[a, b]| a != b).count();
-        if 0 < n_between {
-            let (grouping, groups) = (grouping.name(), grouping.groups());
-            return Err(LabelError::TwoGroups { grouping, groups, n_between });
-        }
-    }
     let near_folds = match grouping {
         Grouping::Place => {
-            let near = blocks.near_folds(keyframes, &keyframe_folds, place_margin_m);
-            let of_pair = |(pair, own): (&Pair, &[u32; 2])| {
-                let mut of_pair = [&*near[pair.query], &*near[pair.reference]].concat();
-                of_pair.retain(|fold| !own.contains(fold));
-                of_pair.sort_unstable();
-                of_pair.dedup();
-                of_pair
-            };
-            pairs.iter().zip(&folds).map(of_pair).collect()
+            let near = Blocks::new(keyframes, place_m);
+            let near = near.near_folds(keyframes, &keyframe_folds, place_margin_m);
+            near_pairs(pairs, &near, &folds)
         }
         _ => vec![Vec::new(); pairs.len()],
     };
-    Ok(Folds {
-        n_folds,
-        groups: ends(&groups.keyframe_groups),
-        folds,
-        near_folds,
-        keyframe_folds,
-        keys,
-    })
+    Ok(Folds { n_folds, groups: of_pairs, folds, near_folds, keyframe_folds, keys })
+}
+
+/// Checks that a group can be held out and that pairs are then left to train on.
+fn check_groups(
+    grouping: Grouping,
+    n_groups: usize,
+    of_pairs: &[[u32; 2]],
+) -> Result<(), LabelError> {
+    let (name, groups) = (grouping.name(), grouping.groups());
+    if n_groups < 2 {
+        return Err(LabelError::TooFewGroups { grouping: name, groups, found: n_groups });
+    }
+    let n_between = of_pairs.iter().filter(|[a, b]| a != b).count();
+    if n_groups == 2 && 0 < n_between {
+        return Err(LabelError::TwoGroups { grouping: name, groups, n_between });
+    }
+    Ok(())
+}
+
+/// The folds near the two scans of each pair, without the folds of the pair, `(n_pairs,)`. `near` are
+/// the folds near each keyframe.
+fn near_pairs(pairs: &[Pair], near: &[Vec<u32>], folds: &[[u32; 2]]) -> Vec<Vec<u32>> {
+    let of_pair = |(pair, own): (&Pair, &[u32; 2])| {
+        let mut of_pair = [&*near[pair.query], &*near[pair.reference]].concat();
+        of_pair.retain(|fold| !own.contains(fold));
+        of_pair.sort_unstable();
+        of_pair.dedup();
+        of_pair
+    };
+    pairs.iter().zip(folds).map(of_pair).collect()
 }
 
 /// Shuffles the pairs of each class by their keys and assigns them to the folds in turn. Within a
@@ -230,7 +225,15 @@ impl Blocks {
         Self { width_m, of_keyframes }
     }
 
-    /// For each keyframe, the other folds with a block closer than the margin, `(n_keyframes,)`.
+    /// The groups of the grouping `place`.
+    fn groups(&self, keyframes: &[Keyframe], seed: u64) -> Groups {
+        let names = self.of_keyframes.iter().zip(keyframes);
+        Groups::by(names.map(|(&(frame, x, y), k)| (frame, &*k.site, x, y)), |(_, site, x, y)| {
+            name_hash(seed, &[site.as_bytes(), &x.to_le_bytes(), &y.to_le_bytes()])
+        })
+    }
+
+    /// For each keyframe, the folds with a block closer than the margin, `(n_keyframes,)`.
     fn near_folds(&self, keyframes: &[Keyframe], folds: &[u32], margin_m: f64) -> Vec<Vec<u32>> {
         let fold_of: BTreeMap<(u32, i64, i64), u32> =
             self.of_keyframes.iter().copied().zip(folds.iter().copied()).collect();

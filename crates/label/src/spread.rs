@@ -24,6 +24,10 @@ pub(crate) struct Spread {
     pub(crate) note: Option<Note>,
 }
 
+/// A place with more than this share of the positives dominates the set, if the limit had to be
+/// raised. This value is a judgement: with a quarter, at least three other places are as common.
+const DOMINANT: f64 = 0.25;
+
 /// Limits the share of each place. `drawn` are the pairs of the class that are drawn without a
 /// limit; if no place has too many of them, they are the result. The class must have enough
 /// candidates.
@@ -44,8 +48,7 @@ pub(crate) fn limit(
         Label::Positive => "positive",
         Label::Negative => "negative",
     };
-    let pairs = all.draw(label, wanted, cap);
-    if pairs.len() == wanted {
+    let limited = |cap: usize| -> Note {
         let (site, x_m, y_m) = centre(options, keyframes, all.squares, place);
         let kind = NoteKind::PlaceShareLimited {
             class: class.to_owned(),
@@ -57,11 +60,22 @@ pub(crate) fn limit(
             x_m,
             y_m,
         };
-        return Spread { pairs, note: Some(kind.into()) };
+        kind.into()
+    };
+    let pairs = all.draw(label, wanted, cap);
+    if pairs.len() == wanted {
+        return Spread { pairs, note: Some(limited(cap)) };
     }
     let counts = all.counts(label);
-    let pairs = all.draw(label, wanted, least_cap(&counts, wanted));
+    let raised = least_cap(&counts, wanted);
+    let pairs = all.draw(label, wanted, raised);
     let (place, n_largest) = most(all.squares, &pairs);
+    let is_dominant = DOMINANT * (wanted as f64) < n_largest as f64;
+    // Negatives are far apart: a small site has them only between its ends.
+    if label == Label::Negative || !is_dominant {
+        let note = (raised < n_without).then(|| limited(raised));
+        return Spread { pairs, note };
+    }
     let (site, x_m, y_m) = centre(options, keyframes, all.squares, place);
     let kind = NoteKind::FewPlaces {
         class: class.to_owned(),
