@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 use ingest::{
-    ClockSurvey, Content, HORIZONTAL_LASER, JointsSurvey, Log, PacketsSurvey, Survey, TopicSurvey,
-    survey,
+    ClockSurvey, Content, FrameSurvey, HORIZONTAL_LASER, JointsSurvey, Log, PacketsSurvey, Survey,
+    TopicSurvey, survey,
 };
 use serde_json::json;
 
@@ -160,6 +160,9 @@ fn describe(path: &Path, drive: &LogFile, survey: &Survey) {
         let rate = topic.rate_hz.map_or(String::new(), |hz| format!(", {hz:.2} Hz"));
         out!("\n{}  {}", topic.topic, kind(topic));
         out!("  {}{rate}", counted(topic.n_messages, "message"));
+        if let Some(line) = frame_line(topic) {
+            out!("  {line}");
+        }
         topic.stamps.lines().iter().for_each(|line| out!("  {line}"));
         match &topic.content {
             Content::Packets(packets) => print_packets(packets),
@@ -262,6 +265,26 @@ fn print_packets(packets: &PacketsSurvey) {
     }
     if packets.is_stamped_by_message() {
         out!("  all packets of a message have the same stamp; use the device clock");
+    }
+}
+
+/// The frames of a topic. `None` if its messages name no frame.
+fn frame_line(topic: &TopicSurvey) -> Option<String> {
+    let name = |frame: &FrameSurvey| match (&*frame.frame_id, &*frame.child_frame_id) {
+        ("", "") => "no frame".to_owned(),
+        (frame, "") => format!("frame `{frame}`"),
+        (frame, child) => format!("frame `{frame}`, child frame `{child}`"),
+    };
+    match topic.frames.as_slice() {
+        [] => None,
+        [one] if one.frame_id.is_empty() && one.child_frame_id.is_empty() => None,
+        [one] => Some(name(one)),
+        several => {
+            let each = several
+                .iter()
+                .map(|frame| format!("{} ({})", name(frame), counted(frame.n_messages, "message")));
+            Some(each.collect::<Vec<_>>().join("; "))
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Write as _};
 
-use dataset::{FULL_RING_DEG, Keyframe, Note};
+use dataset::{FULL_RING_DEG, Keyframe, Note, NoteKind};
 use label::{LabelError, Labelled, Options};
 
 /// Least path between the two scans of a positive pair \[m\]. Without it, most positives of a drive with
@@ -46,13 +46,14 @@ impl LabelChoice {
     pub(crate) fn of(seed: u64, keyframes: &[Keyframe]) -> Self {
         let least_deg = keyframes.iter().map(|k| f64::from(k.coverage_deg)).reduce(f64::min);
         let mut choice = Self::without_keyframes(least_deg);
+        let rules = choice.options.clone();
         let mut most = 0;
         for negative_min_m in NEGATIVE_MIN_M {
-            let options = Options { negative_min_m, ..choice.options.clone() };
+            let options = Options { negative_min_m, ..rules.clone() };
             let (n_pairs, refusal) = match label::label(&options, seed, keyframes) {
                 Ok(labelled) => {
                     choice.accept(options, labelled);
-                    return choice;
+                    return choice.spread_over_places(seed, keyframes);
                 }
                 Err(error @ LabelError::TooFew { n_positive, n_negative, .. }) => {
                     (n_positive.min(n_negative), error.to_string())
@@ -67,7 +68,7 @@ impl LabelChoice {
             choice.refusal.get_or_insert(refusal);
         }
         if most < MIN_PAIRS {
-            choice.options = Self::without_keyframes(least_deg).options;
+            choice.options = rules;
             return choice;
         }
         match label::label(&choice.options, seed, keyframes) {
@@ -77,7 +78,23 @@ impl LabelChoice {
             }
             Err(error) => choice.refusal = Some(error.to_string()),
         }
-        choice
+        choice.spread_over_places(seed, keyframes)
+    }
+
+    /// Takes fewer pairs, if one place has too large a share of them and fewer pairs would be spread.
+    fn spread_over_places(mut self, seed: u64, keyframes: &[Keyframe]) -> Self {
+        let n_enough = |note: &Note| match note.kind {
+            NoteKind::FewPlaces { n_enough, .. } => Some(n_enough),
+            _ => None,
+        };
+        let Some(n_pairs) = self.notes.iter().filter_map(n_enough).min() else { return self };
+        if MIN_PAIRS <= n_pairs {
+            let options = Options { pairs_per_class: n_pairs as usize, ..self.options.clone() };
+            if let Ok(labelled) = label::label(&options, seed, keyframes) {
+                self.accept(options, labelled);
+            }
+        }
+        self
     }
 
     fn accept(&mut self, options: Options, labelled: Labelled) {
@@ -111,7 +128,7 @@ impl LabelChoice {
         if options.pairs_per_class < defaults.pairs_per_class {
             writeln!(
                 text,
-                "pairs_per_class = {}   # as many as this log has of both classes",
+                "pairs_per_class = {}   # as many as this log has, spread over its places",
                 options.pairs_per_class
             )?;
         }

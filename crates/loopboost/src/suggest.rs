@@ -77,8 +77,12 @@ impl<'a> Suggestion<'a> {
             missing.push(format!("a lidar topic (one of {names})"));
         }
         if let (Some((wheels, _)), None) = (self.wheels, self.track_m) {
+            let radius = match wheels.content {
+                Content::Joints(_) => ", and their radius (`ingest.pose.wheel_radius_m`)",
+                _ => "",
+            };
             missing.push(format!(
-                "the track width of the wheels of topic `{}`, which could give poses; measure it and pass it with --track-m",
+                "the track width of the wheels of topic `{}`, which could give poses; measure it and pass it with --track-m{radius}",
                 wheels.topic
             ));
         } else if self.poses.is_empty() && self.wheels.is_none() {
@@ -169,6 +173,12 @@ impl<'a> Suggestion<'a> {
             (Some(PoseSource::Topic(topic)), _) => {
                 writeln!(text, "pose.topic = {:?}{}", topic.topic, comment(used))?;
                 write_frame_id(text, "pose.frame_id", topic)?;
+                if topic.stamps.needs_log_times() {
+                    writeln!(
+                        text,
+                        "pose.stamp = \"log\"   # all stamps in the headers are 0 or equal"
+                    )?;
+                }
                 write_others(text, others)?;
             }
             (Some(PoseSource::Frames { parent, child, topics }), _) => {

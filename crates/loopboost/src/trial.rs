@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use dataset::{Keyframe, NoteKind, Scan, StampedPose, Subject};
-use ingest::{Ingested, Log, Options, Survey};
+use ingest::{
+    IngestError, Ingested, Log, Options, PoseOptions, Survey, WheelError, WheelSpeedUnit,
+};
 use subsample::Candidate;
 
 use crate::config::Config;
@@ -32,18 +34,37 @@ pub(crate) struct Trial {
 
 impl Trial {
     /// Ingests a drive with a pipeline and selects its keyframes. Scans are not kept.
+    ///
+    /// If the pipeline lacks the track width or the radius of the wheels, the wheels are read with
+    /// guesses: joints and stamps can be checked without them.
     pub(crate) fn run(name: &str, logs: &[Log], pipeline: &str) -> Result<Self> {
         let config: Config =
             toml::from_str(pipeline).context("cannot parse the suggested pipeline")?;
         let options = config.for_log(name)?;
         let options = Options { lidar: options.lidar, pose: options.pose };
-        let mut trial = Self { topics: topics(&options), ..Self::default() };
+        let Some(guessed) = options.pose.as_ref().and_then(with_guessed_wheels) else {
+            return Self::of_options(name, logs, &config, &options);
+        };
+        let guessed = Options { pose: Some(guessed), ..options.clone() };
+        let mut trial = Self::of_options(name, logs, &config, &guessed)?;
+        if trial.refusal.as_ref().is_some_and(|(_, error)| depends_on_wheel_size(error)) {
+            let scans_alone = Options { pose: None, ..options };
+            trial = Self::of_options(name, logs, &config, &scans_alone)?;
+        }
+        trial.findings.notes.retain(|note| !SIZE_NOTES.contains(&note.code()));
+        // The scale of these poses is a guess.
+        (trial.poses, trial.keyframes, trial.labels) = Default::default();
+        Ok(trial)
+    }
+
+    fn of_options(name: &str, logs: &[Log], config: &Config, options: &Options) -> Result<Self> {
+        let mut trial = Self { topics: topics(options), ..Self::default() };
         let mut candidates = Vec::new();
         let n_bytes = logs.iter().map(Log::n_bytes).sum();
         let progress = progress_bar(n_bytes, format!("try {name}"), true);
         let ingested = ingest::ingest(
             &logs.iter().collect::<Vec<_>>(),
-            &options,
+            options,
             |scans| {
                 add_candidates(&scans, &mut candidates);
                 anyhow::Ok(())
@@ -112,6 +133,54 @@ impl Trial {
             all.notes.push(NoteKind::PipelineRefused { stage, error }.into());
         }
         all
+    }
+}
+
+/// Track width of a guess \[m\]; robots have 0.2 to 3 m.
+const GUESSED_TRACK_M: f64 = 0.5;
+/// Notes that depend on the size of the wheels or the track.
+const SIZE_NOTES: [&str; 10] = [
+    "poses_fused",
+    "wheel_unit_confirmed",
+    "turn_ratio",
+    "wheel_slip",
+    "mostly_slip",
+    "headings_used",
+    "headings_contradict",
+    "calibration_deviates",
+    "few_places",
+    "place_share_limited",
+];
+
+/// The options with a guess of the track width, and with joints in m/s if their radius is not set.
+/// `None` if the track width is set, or the poses do not come from wheels.
+fn with_guessed_wheels(pose: &PoseOptions) -> Option<PoseOptions> {
+    if pose.wheels.is_none() || pose.track_m.is_some() {
+        return None;
+    }
+    let is_unit_known = pose.wheel_radius_m.is_some() || pose.wheel_speed_unit.is_some();
+    let wheel_speed_unit = match is_unit_known {
+        true => pose.wheel_speed_unit,
+        false => Some(WheelSpeedUnit::MetresPerSecond),
+    };
+    Some(PoseOptions { track_m: Some(GUESSED_TRACK_M), wheel_speed_unit, ..pose.clone() })
+}
+
+/// Whether an error can come from the guess: gyroscope and wheels turn alike, but not by the same
+/// amount. The ratio is 1 for wheels with a radius of 1 m and a track of 0.5 m. It is 0.008 for a
+/// radius of 0.05 m and a track of 3 m, and 6 for speeds in m/s and a track of 3 m.
+fn depends_on_wheel_size(error: &anyhow::Error) -> bool {
+    match error.downcast_ref::<IngestError>() {
+        Some(IngestError::Wheels { source, .. }) => match source {
+            WheelError::Unrelated { ratio, correlation, .. } => {
+                0.5 <= *correlation && 0.005 <= *ratio && *ratio <= 10.0
+            }
+            WheelError::UnknownUnit { .. } => true,
+            _ => false,
+        },
+        // Label rules and keyframes need the right scale.
+        Some(_) => false,
+        None => true,
     }
 }
 
