@@ -348,6 +348,8 @@ mod tests {
         sides: [f64; 2],
         /// Factor for the measured headings; `None` without headings.
         heading_turns: Option<f64>,
+        /// Amplitude of an error of the headings that is not related to the turns \[rad\].
+        heading_error_rad: f64,
         /// The IMU is stamped later \[s\].
         imu_late_s: f64,
         options: PoseOptions,
@@ -360,6 +362,7 @@ mod tests {
                 gyro_turns: 1.0,
                 sides: [1.0; 2],
                 heading_turns: None,
+                heading_error_rad: 0.0,
                 imu_late_s: 0.0,
                 options: PoseOptions {
                     wheels: Some("/wheels".into()),
@@ -407,7 +410,9 @@ mod tests {
                     angular_velocity_rad_s: [0.0, 0.0, scale * self.gyro_turns * yaw_rate(t)],
                     acceleration_m_s2: None,
                 };
-                let heading_rad = self.heading_turns.map(|turns| turns * heading_rad(t));
+                let error_rad = self.heading_error_rad * libm::sin(1.7 * t);
+                let heading_rad =
+                    self.heading_turns.map(|turns| turns * heading_rad(t) + error_rad);
                 readings.imu.push(ImuReading { inertial, heading_rad });
             }
             let path = Path::new("drive.mcap");
@@ -513,6 +518,16 @@ mod tests {
         assert!(error_m(&made(0.0).expect(&[])) < 0.2, "constant: a remark");
         assert!(error_m(&made(-1.0).expect(&["heading_turns_opposite"])) < 0.2);
         assert!(error_m(&made(0.05).expect(&["heading_does_not_turn"])) < 0.2);
+    }
+
+    /// A magnetometer that is disturbed all the time: the claimed uncertainty covers the error.
+    #[test]
+    fn headings_that_contradict_the_other_sensors_raise_the_uncertainty() {
+        let disturbed =
+            Made { heading_turns: Some(1.0), heading_error_rad: 1.2, ..Made::default() };
+        let poses = disturbed.expect(&["headings_contradict"]);
+        let [xx, _, _, yy, ..] = poses.last().unwrap().covariance.unwrap();
+        assert!(error_m(&poses) < 3.0 * (xx + yy).sqrt(), "{xx} {yy}");
     }
 
     #[test]
