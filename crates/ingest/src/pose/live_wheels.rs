@@ -99,3 +99,67 @@ impl LiveWheels {
         (is_possible(speeds.left_m_s) && is_possible(speeds.right_m_s)).then_some(speeds)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reading(ms: i64, positions: &[f64], velocities: &[f64]) -> JointReading {
+        JointReading {
+            stamp_ns: ms * 1_000_000,
+            joints: Arc::new(JointSet {
+                naming: Naming::Wheel,
+                left: vec!["left".to_owned()],
+                right: vec!["right".to_owned()],
+            }),
+            positions: positions.to_vec(),
+            velocities: velocities.to_vec(),
+        }
+    }
+
+    fn speeds(readings: Vec<JointReading>) -> Vec<(i64, f64, f64)> {
+        let options = PoseOptions { wheel_radius_m: Some(0.1), ..PoseOptions::default() };
+        let mut live = LiveWheels::new(&options);
+        // Message by message, as from pieces of a log.
+        let samples = readings.into_iter().flat_map(|reading| {
+            live.advance(&MotionReadings { joints: vec![reading], ..MotionReadings::default() })
+        });
+        samples.map(|s| (s.stamp_ns / 1_000_000, s.left_m_s, s.right_m_s)).collect()
+    }
+
+    fn check(readings: Vec<JointReading>, expected: &[(i64, f64, f64)]) {
+        let found = speeds(readings);
+        assert_eq!(found.len(), expected.len(), "{found:?}");
+        for (found, expected) in found.iter().zip(expected) {
+            assert_eq!(found.0, expected.0);
+            let error = (found.1 - expected.1).abs().max((found.2 - expected.2).abs());
+            assert!(error < 1e-9, "{found:?}, expected {expected:?}");
+        }
+    }
+
+    #[test]
+    fn velocities_are_used_once_one_is_not_zero() {
+        let moving = vec![reading(0, &[], &[0.0, 0.0]), reading(20, &[], &[10.0, 5.0])];
+        check(moving, &[(0, 0.0, 0.0), (20, 1.0, 0.5)]);
+        let both = vec![
+            reading(0, &[1.0, 1.0], &[0.0, 0.0]),
+            reading(20, &[1.0, 1.0], &[0.0, 0.0]),
+            reading(40, &[1.2, 1.1], &[10.0, 5.0]),
+        ];
+        check(both, &[(10, 0.0, 0.0), (40, 1.0, 0.5)]);
+    }
+
+    /// From 3 rad to -3 rad the left wheel turned by 2 pi - 6 rad. A step that is faster than 15 m/s is
+    /// left out.
+    #[test]
+    fn positions_are_unwrapped_and_jumps_left_out() {
+        let pi = std::f64::consts::PI;
+        let turned = (2.0 * pi - 6.0) * 0.1 / 0.1;
+        let wrapped = vec![
+            reading(0, &[3.0, 0.0], &[]),
+            reading(100, &[-3.0, 0.1], &[]),
+            reading(200, &[-2.9, 100.0], &[]),
+        ];
+        check(wrapped, &[(50, turned, 0.1)]);
+    }
+}
