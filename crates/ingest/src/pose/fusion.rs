@@ -29,6 +29,10 @@ const CORRELATED: f64 = 0.5;
 const OPPOSITE: f64 = 0.75;
 /// A sensor that turns less than this times the other one, and not with it, does not turn.
 const DEAD: f64 = 0.1;
+/// A side that drives less than this times the path of the other side does not count, if the other
+/// side drives more than this \[m\].
+const STUCK: f64 = 1e-3;
+const MIN_PATH_M: f64 = 1.0;
 /// A measured heading turns less than the robot if it is below this ratio. The headings of a
 /// magnetometer at 1 Hz turn 0.4 to 0.8 times as much as the gyroscope.
 const HEADING_TURNS: f64 = 0.2;
@@ -77,6 +81,7 @@ pub(crate) fn fused_poses(
     if wheels.samples.is_empty() && !has_joints && readings.odometry.is_empty() {
         return Err(refuse(WheelError::NoWheels { losses: losses.clone() }));
     }
+    check_sides(&wheels.samples).map_err(refuse)?;
     losses.merge(std::mem::take(&mut wheels.losses).on_topic(topics.wheels));
     let on_wheels = |kind| Note::new(kind, Subject::topic(topics.wheels));
     notes.extend(std::mem::take(&mut wheels.notes).into_iter().map(on_wheels));
@@ -134,6 +139,25 @@ fn wheel_speeds(
         };
     }
     joint_speeds(&readings.joints, options)
+}
+
+/// Checks that both sides move. A robot that turns about one wheel for a whole drive does not exist.
+fn check_sides(samples: &[WheelSample]) -> Result<(), WheelError> {
+    let path = |of: fn(&WheelSample) -> f64| {
+        let pairs = samples.windows(2).filter(|pair| pair[0].stamp_ns < pair[1].stamp_ns);
+        let step = |pair: &[WheelSample]| {
+            let secs = (pair[1].stamp_ns - pair[0].stamp_ns) as f64 * 1e-9;
+            0.5 * (of(&pair[0]).abs() + of(&pair[1]).abs()) * secs
+        };
+        pairs.map(step).filter(|step| step.is_finite()).sum::<f64>()
+    };
+    let (left, right) = (path(|sample| sample.left_m_s), path(|sample| sample.right_m_s));
+    let side = if left < right { "left" } else { "right" };
+    let path = left.max(right);
+    match MIN_PATH_M < path && left.min(right) < STUCK * path {
+        true => Err(WheelError::StuckWheel { side, path }),
+        false => Ok(()),
+    }
 }
 
 /// Pairs of frames with their counts.
@@ -483,14 +507,21 @@ mod tests {
     }
 
     #[test]
+    fn an_encoder_that_does_not_count_is_refused() {
+        let stuck = |sides| Made { sides, ..Made::default() };
+        stuck([0.0, 1.0]).expect_error("stuck_wheel", "on the left stand still");
+        stuck([1.0, 0.0]).expect_error("stuck_wheel", "on the right stand still");
+    }
+
+    #[test]
     fn a_reversed_encoder_is_refused_and_a_wrong_track_width_reported() {
         let reversed = Made { sides: [1.0, -1.0], ..Made::default() };
         reversed.expect_error("unrelated_turns", "If one wheel counts backward, they agree");
         let exchanged = Made { wheel_turns: -1.0, ..Made::default() };
         exchanged.expect_error("opposite_turns", "left and right wheels are exchanged");
         // Turns 0.5 times as much: the track width in the options is half of the true one.
-        let poses =
-            Made { wheel_turns: 2.0, ..Made::default() }.expect(&["turn_ratio", "mostly_slip"]);
+        let poses = Made { wheel_turns: 2.0, ..Made::default() }
+            .expect(&["turn_ratio", "calibration_deviates"]);
         let [xx, _, _, yy, ..] = poses.last().unwrap().covariance.unwrap();
         assert!(error_m(&poses) < 3.0 * (xx + yy).sqrt(), "{xx} {yy}");
         let straight = Made { wheel_turns: 0.0, ..Made::default() };

@@ -302,8 +302,8 @@ mod tests {
         ];
         check(
             &youbot,
-            &["wheel_joint_fl", "wheel_joint_bl"],
-            &["wheel_joint_fr", "wheel_joint_br"],
+            &["wheel_joint_bl", "wheel_joint_fl"],
+            &["wheel_joint_br", "wheel_joint_fr"],
         );
         let hsr = ["base_l_drive_wheel_joint", "base_r_drive_wheel_joint", "base_roll_joint"];
         check(&hsr, &hsr[..1], &hsr[1..2]);

@@ -24,6 +24,16 @@ pub enum WheelError {
         /// Median time between two messages \[s\].
         period_s: f64,
     },
+    /// The wheels on one side do not move.
+    #[error(
+        "the wheels on the {side} stand still while those on the other side move by {path:.1} (m, or rad without a wheel radius): an encoder does not count. Name other joints in `ingest.pose.wheels`, or use another source of poses"
+    )]
+    StuckWheel {
+        /// `left` or `right`.
+        side: &'static str,
+        /// Path of the other side, in both directions \[m\].
+        path: f64,
+    },
     /// The unit of the joint velocities is not known.
     #[error(
         "the unit of the wheel joints is not known: ROS defines rad and rad/s, and `ingest.pose.wheel_radius_m` is not set{}. Set `ingest.pose.wheel_radius_m`, or `ingest.pose.wheel_speed_unit = \"m/s\"` if the log contains m and m/s",
@@ -139,6 +149,7 @@ impl WheelError {
         match self {
             Self::NoWheels { .. } => "no_wheels",
             Self::AmbiguousPositions { .. } => "ambiguous_wheel_positions",
+            Self::StuckWheel { .. } => "stuck_wheel",
             Self::UnknownUnit { .. } => "unknown_wheel_unit",
             Self::Sideways { .. } => "sideways_twist",
             Self::TwistTurns { .. } => "twist_turn_contradicts_poses",
