@@ -192,6 +192,7 @@ fn describe(path: &Path, drive: &LogFile, survey: &Survey) {
                     poses.path_m,
                     poses.widest_gap_s
                 );
+                poses.remarks.iter().for_each(|remark| out!("  {remark}"));
             }
             Content::Transforms(transforms) => {
                 for of in transforms {

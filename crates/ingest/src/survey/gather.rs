@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use dataset::{Loss, LossKind, Losses, StampedPose, Subject, Trajectory};
+use dataset::{Loss, LossKind, Losses, StampedPose, Subject};
 use messages::hdl32e::{self, BLOCKS, HORIZONTAL_LASER, HOUR_US, LASERS, Packet, ReturnMode};
 use messages::{
     FrameIds, MessageType, NavSatFix, Source, read_frame_ids, read_joint_state, read_laser_scan,
@@ -22,9 +22,10 @@ use crate::pose::gnss;
 use crate::pose::joints::wheels_of_topic;
 use crate::pose::message::{stamped_pose, undecodable};
 use crate::scan::cloud::Rings;
+use crate::survey::poses::poses_survey;
 use crate::survey::report::{
-    ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, PosesSurvey,
-    ScansSurvey, StampSurvey, Survey, TopicSurvey, TransformSurvey,
+    ClockSurvey, CloudsSurvey, Content, FrameSurvey, JointsSurvey, PacketsSurvey, ScansSurvey,
+    StampSurvey, Survey, TopicSurvey, TransformSurvey,
 };
 use crate::types::{FRAME_TYPES, LIDAR_TYPES, POSE_TYPES};
 use crate::velodyne::device_clock::device_gap_us;
@@ -376,9 +377,9 @@ impl Gathered {
                 if let Some((first, _)) = found.fixes.first() {
                     found.poses = gnss::poses(&found.fixes, &gnss::origin(first));
                 }
-                let (trajectory, n_duplicates) = Trajectory::new(std::mem::take(&mut found.poses));
-                found.losses.add(LossKind::DuplicatePoseStamps, n_duplicates as u64);
-                Content::Poses(poses_survey(trajectory))
+                let (poses, losses) = poses_survey(&std::mem::take(&mut found.poses));
+                found.losses.merge(losses);
+                Content::Poses(poses)
             }
             Some(tf) if FRAME_TYPES.contains(&tf) => {
                 let transforms = std::mem::take(&mut found.transforms).into_iter();
@@ -529,27 +530,4 @@ fn packets_survey(packets: Option<PacketCounts>, found: &mut Found) -> Option<Pa
         dead_lasers: format_lasers(dead.fold(0, |mask, laser| mask | 1 << laser)),
         clock: packets.clock(),
     })
-}
-
-fn poses_survey(trajectory: Trajectory) -> PosesSurvey {
-    let poses = trajectory.poses();
-    let extent = |along: fn(&StampedPose) -> f64| {
-        let (least, most) = poses
-            .iter()
-            .map(along)
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), value| {
-                (least.min(value), most.max(value))
-            });
-        (most - least).max(0.0)
-    };
-    let steps = || poses.windows(2).map(|pair| (&pair[0], &pair[1]));
-    PosesSurvey {
-        // From 0, since the sum of nothing is -0.
-        path_m: steps().fold(0.0, |path, (a, b)| path + a.pose.distance_m(&b.pose)),
-        widest_gap_s: steps()
-            .map(|(a, b)| b.stamp_ns.saturating_sub(a.stamp_ns) as f64 * 1e-9)
-            .fold(0.0, f64::max),
-        extent_m: (extent(|p| p.pose.x_m), extent(|p| p.pose.y_m)),
-        trajectory,
-    }
 }

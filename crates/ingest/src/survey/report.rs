@@ -247,6 +247,10 @@ pub struct PosesSurvey {
     pub widest_gap_s: f64,
     /// Extent along x and y \[m\].
     pub extent_m: (f64, f64),
+    /// Number of continuous pieces: 1 unless poses jump.
+    pub n_segments: u32,
+    /// Jumps and steps of the clock, one sentence each.
+    pub remarks: Vec<String>,
     /// The poses.
     #[serde(skip)]
     pub trajectory: Trajectory,
