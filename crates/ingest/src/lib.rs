@@ -7,8 +7,7 @@
 //! ```
 //!
 //! A log is read piece by piece, several pieces in parallel, so the memory use does not grow with the
-//! log. Only the topics in the options are decoded, and only chunks with these
-//! topics are decompressed. A drive that was recorded as several files is read as one log.
+//! log. Only the topics in the options are decoded. Other parts of the log are only checked. A drive that was recorded as several files is read as one log.
 //!
 //! The result depends only on the bytes of the logs and the options. Pieces are decoded in parallel,
 //! but assembled in file order.
@@ -168,15 +167,27 @@ fn read<E: From<IngestError> + Send>(
         report_progress(window, &progress);
     }
     assembler.check_message_count(drive.n_messages(&topics));
+    assembler.add_losses(structure.check_unused(&drive, &windows));
+    structure.check_topics(&names)?;
     assembler.add_losses(structure.losses());
     let ingested = assembler.finish(&drive.path(), &lidar, pose.as_ref(), &mut take)?;
     if let (Some(PoseTopics::File(topic, _)), Some(options)) = (&pose, &options.pose) {
-        let poses = ingested.trajectory.poses();
-        let pose_stamps = poses.first().zip(poses.last()).map(|(a, b)| (a.stamp_ns, b.stamp_ns));
-        pose::file::check_overlap(pose_stamps, scan_stamps, options.file_time_unit)
-            .map_err(|source| IngestError::PoseFile { path: topic.name.clone().into(), source })?;
+        check_overlap(&topic.name, &ingested, scan_stamps, options)?;
     }
     Ok(ingested)
+}
+
+/// Checks that the poses of a file and the scans have times in common.
+fn check_overlap(
+    file: &str,
+    ingested: &Ingested,
+    scan_stamps: Option<(i64, i64)>,
+    options: &PoseOptions,
+) -> Result<(), IngestError> {
+    let poses = ingested.trajectory.poses();
+    let pose_stamps = poses.first().zip(poses.last()).map(|(a, b)| (a.stamp_ns, b.stamp_ns));
+    pose::file::check_overlap(pose_stamps, scan_stamps, options.file_time_unit)
+        .map_err(|source| IngestError::PoseFile { path: file.into(), source })
 }
 
 /// The first and the last stamp of scans, with those of more scans \[ns\].

@@ -108,6 +108,11 @@ pub(crate) fn in_folder(folder: &Path, depth: usize) -> Result<Vec<LogFile>> {
         LogFile { name, paths, missing }
     };
     let mut drives: Vec<LogFile> = group_files(folder, files)?.into_iter().map(named).collect();
+    // `metadata.yaml` may list the decompressed file. It is already counted as missing.
+    let missing: Vec<PathBuf> = drives.iter().flat_map(|drive| drive.missing.clone()).collect();
+    drives.retain(|drive| {
+        !compressed_mcap(&drive.paths[0]).is_some_and(|mcap| missing.contains(&mcap))
+    });
     for subfolder in folders {
         drives.extend(in_folder(&subfolder, depth + 1)?);
     }
