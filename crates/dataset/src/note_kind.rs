@@ -382,6 +382,13 @@ codes! {
             /// The first of them.
             example: String,
         } => "{n_scans} scans have an impossible time between beams, and are not deskewed: {example}";
+        /// By the times of its beams, a scan takes longer than the time to the next scan.
+        Warning "scan_longer_than_period" ScanLongerThanPeriod {
+            /// From the first beam to the last \[s\].
+            duration_s: f64,
+            /// Mean time between scans \[s\].
+            period_s: f64,
+        } => "by time_increment, a scan takes {duration_s:.4} s, but a scan is recorded every {period_s:.4} s; do not trust the deskewed scans, or set `ingest.lidar.deskew = false`";
         /// What was deskewed.
         Info "deskewed" Deskewed {
             /// Scans deskewed.

@@ -129,7 +129,7 @@ fn note_codes(ingested: &Ingested) -> Vec<&'static str> {
 #[test]
 fn regular_messages_give_no_note() {
     let (scans, ingested) = ingest(&drive(60, at, at), &options()).unwrap();
-    assert_eq!((scans.len(), ingested.trajectory.len()), (60, 60));
+    assert_eq!((scans.len(), ingested.trajectory.poses().len()), (60, 60));
     assert_eq!(note_codes(&ingested), [""; 0]);
     assert!(ingested.losses.is_empty());
     // A log that was played and recorded again.
@@ -174,7 +174,7 @@ fn stamps_that_are_all_zero_or_equal_are_an_error_that_names_the_option() {
 fn a_few_messages_without_stamp_are_counted_and_not_used() {
     let late_clock = |k| if k < 5 { 0 } else { at(k) };
     let (scans, ingested) = ingest(&drive(40, late_clock, late_clock), &options()).unwrap();
-    assert_eq!((scans.len(), ingested.trajectory.len()), (35, 35));
+    assert_eq!((scans.len(), ingested.trajectory.poses().len()), (35, 35));
     assert_eq!(codes(&ingested.losses), [("unstamped_messages", 5), ("unstamped_messages", 5)]);
 }
 

@@ -104,6 +104,13 @@ impl StampObserver {
         self.n_messages
     }
 
+    /// Mean time between messages, by the log \[s\]. `None` for less than three messages.
+    pub(crate) fn period_s(&self) -> Option<f64> {
+        let ((_, first_ns), (_, last_ns)) = (self.first?, self.last?);
+        let n_steps = self.n_messages.checked_sub(1).filter(|&n| MIN_MESSAGES_BACK <= n + 1)?;
+        Some(last_ns.abs_diff(first_ns) as f64 * 1e-9 / n_steps as f64).filter(|s| 0.0 < *s)
+    }
+
     /// Number of messages with the stamp of the message before.
     pub(crate) fn n_equal(&self) -> u64 {
         self.n_equal

@@ -2,7 +2,7 @@
 
 use messages::{Source, read_frame_ids, read_stamp_ns};
 
-use crate::observe::frames::FrameCounts;
+use crate::observe::frames::{FrameCounts, without_slash};
 use crate::observe::stamps::StampObserver;
 
 /// A message with a log time from this on has a stamp of 0 only if it was never stamped \[ns\]. Logs of
@@ -29,24 +29,37 @@ pub(crate) struct TopicObserver {
 
 /// The header of a message.
 pub(crate) struct SeenHeader {
+    /// Whether the message is in the frame that is wanted.
+    pub(crate) is_wanted: bool,
     /// Whether the stamp is 0 although the log time shows that the clock did not start at 0.
     pub(crate) is_unstamped: bool,
 }
 
 impl TopicPiece {
     /// Adds a message. `None` for transforms, which have no header, and for messages whose header
-    /// cannot be read.
-    pub(crate) fn add(&mut self, source: Source, log_ns: u64, data: &[u8]) -> Option<SeenHeader> {
+    /// cannot be read. If one frame is `wanted`, the stamps of other frames are left out.
+    pub(crate) fn add(
+        &mut self,
+        source: Source,
+        log_ns: u64,
+        data: &[u8],
+        wanted: Option<&str>,
+    ) -> Option<SeenHeader> {
         let stamp_ns = read_stamp_ns(source, data).ok().flatten()?;
+        let mut is_wanted = wanted.is_none();
         if let Some(ids) = read_frame_ids(source, data).ok()? {
             self.frames.add(&ids.frame_id);
+            is_wanted |= wanted.is_some_and(|wanted| without_slash(wanted) == ids.frame_id);
+        }
+        if !is_wanted {
+            return Some(SeenHeader { is_wanted, is_unstamped: false });
         }
         let is_unstamped = stamp_ns == 0 && FIRST_REAL_LOG_NS <= log_ns;
         match is_unstamped {
             true => self.n_unstamped += 1,
             false => self.stamps.push((stamp_ns, log_ns)),
         }
-        Some(SeenHeader { is_unstamped })
+        Some(SeenHeader { is_wanted, is_unstamped })
     }
 }
 

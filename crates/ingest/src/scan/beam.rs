@@ -59,7 +59,7 @@ pub(crate) fn is_packet(source: &Source) -> bool {
 }
 
 /// Whether a message is in the frame of the options. All messages are, if the options name no frame.
-pub(crate) fn is_selected(source: Source, data: &[u8], options: &LidarOptions) -> bool {
+fn is_selected(source: Source, data: &[u8], options: &LidarOptions) -> bool {
     options.frame_id.as_deref().is_none_or(|wanted| {
         let found = read_frame_ids(source, data).ok().flatten();
         found.is_some_and(|ids| ids.frame_id == without_slash(wanted))

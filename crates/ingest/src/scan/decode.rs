@@ -1,7 +1,7 @@
 //! Decodes one piece of a log into packets, scans and readings of the motion.
 
 use dataset::{Loss, LossKind, Losses, Subject};
-use messages::Source;
+use messages::{MessageType, Source};
 
 use crate::deskew::timed_scan::TimedScan;
 use crate::drive::structure::PieceStructure;
@@ -12,7 +12,7 @@ use crate::observe::topic::TopicPiece;
 use crate::options::Options;
 use crate::pose::message::undecodable;
 use crate::pose::readings::MotionReadings;
-use crate::scan::beam::{Beam, is_cloud, is_packet, is_selected};
+use crate::scan::beam::{Beam, is_cloud, is_packet};
 use crate::scan::cloud_frame::ConeCheck;
 use crate::scan::planar::{self, FromPlanar};
 use crate::scan::planar_faults::PlanarReadings;
@@ -108,7 +108,12 @@ impl Reader<'_> {
                 let Some(source) = topic.source(file, channel) else { continue };
                 decoded.n_messages += 1;
                 let log_ns = header.log_time;
-                let is_unstamped = seen.add(source, log_ns, data).is_some_and(|h| h.is_unstamped);
+                let wanted = match source.message_type {
+                    MessageType::Imu => options.imu_frame_id.as_deref(),
+                    _ => options.frame_id.as_deref(),
+                };
+                let header = seen.add(source, log_ns, data, wanted);
+                let is_unstamped = header.is_some_and(|header| header.is_unstamped);
                 if is_unstamped && options.stamp == Stamp::Header {
                     let subject = Subject::topic(&topic.name);
                     decoded.losses.add(Loss::new(LossKind::UnstampedMessages, subject), 1);
@@ -138,8 +143,9 @@ impl Reader<'_> {
         decoded: &mut Decoded,
     ) -> messages::Result<()> {
         let options = &self.options.lidar;
-        let seen = decoded.lidar.seen.add(source, log_ns, data);
-        if !is_selected(source, data, options) {
+        let seen = decoded.lidar.seen.add(source, log_ns, data, options.frame_id.as_deref());
+        // A message whose header cannot be read is counted below.
+        if seen.as_ref().is_some_and(|header| !header.is_wanted) {
             return Ok(());
         }
         if is_packet(&source) {

@@ -148,7 +148,9 @@ impl Observers {
             let (path, topic) = (of.path.to_owned(), of.lidar.name.clone());
             return Err(IngestError::NoReturns { path, topic, evidence });
         }
-        notes.extend(self.readings.readings.notes().into_iter().map(|kind| of.on_lidar(kind)));
+        let period_s = self.lidar.stamps.period_s();
+        let kinds = self.readings.readings.notes(period_s).into_iter();
+        notes.extend(kinds.map(|kind| of.on_lidar(kind)));
         notes.extend(of.point_time.note().map(|kind| of.on_lidar(kind)));
         Ok(())
     }

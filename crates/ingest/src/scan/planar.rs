@@ -76,6 +76,7 @@ fn beam_ns(message: &LaserScan, readings: &mut PlanarReadings) -> Option<f64> {
         readings.add_time_fault(fault);
         return None;
     }
+    readings.add_duration(increment_s * (message.ranges.len() - 1) as f64);
     Some(increment_s * 1e9)
 }
 #[cfg(test)]

@@ -15,6 +15,9 @@ const MAX_ROUNDING_RAD: f64 = PI / 90.0;
 /// Fastest and slowest time of a turn of the mirror \[s\]. Survey scanners turn up to 200 times per
 /// second, and scanners on a servo once in a second.
 const TURN_S: (f64, f64) = (0.002, 1.5);
+/// The beams of a scan are measured before the next scan, with some tolerance for scans that come
+/// irregularly, or that a driver cuts from a continuous stream.
+const MAX_PERIODS: f64 = 1.5;
 /// A planar scan with a larger median range is not in metres \[m\]. Scanners reach 30 to 80 m, and few
 /// reach 250 m. Their median is far below, because most beams hit something near.
 const MAX_MEDIAN_M: f64 = 150.0;
@@ -81,6 +84,8 @@ pub(crate) struct PlanarReadings {
     n_without_range_max: u64,
     /// Number of scans with an impossible time between beams, and the first of them.
     time_fault: Option<(u64, String)>,
+    /// Longest time from the first beam to the last \[s\].
+    duration_s: f64,
     /// Least and largest limits of the messages \[m\].
     own_limits: Option<(f32, f32)>,
     n_readings: u64,
@@ -112,6 +117,11 @@ impl PlanarReadings {
         self.time_fault.get_or_insert((0, fault)).0 += 1;
     }
 
+    /// Adds the time from the first beam to the last \[s\].
+    pub(crate) fn add_duration(&mut self, duration_s: f64) {
+        self.duration_s = self.duration_s.max(duration_s);
+    }
+
     /// Counts a reading.
     #[inline]
     pub(crate) fn add(&mut self, range: f32, is_own: bool, is_return: bool) {
@@ -133,6 +143,7 @@ impl PlanarReadings {
         if let Some((n, fault)) = later.time_fault {
             self.time_fault.get_or_insert((0, fault)).0 += n;
         }
+        self.duration_s = self.duration_s.max(later.duration_s);
         self.own_limits = match (self.own_limits, later.own_limits) {
             (Some((a, b)), Some((c, d))) => Some((a.min(c), b.max(d))),
             (one, other) => one.or(other),
@@ -192,9 +203,13 @@ impl PlanarReadings {
             .then(|| format!("its {readings}, are too far for a planar scan{hint}"))
     }
 
-    /// Remarks about scans that were used.
-    pub(crate) fn notes(&self) -> Vec<NoteKind> {
+    /// Remarks about scans that were used. `period_s` is the time between two messages.
+    pub(crate) fn notes(&self, period_s: Option<f64>) -> Vec<NoteKind> {
         let mut notes = Vec::new();
+        let duration_s = self.duration_s;
+        if let Some(period_s) = period_s.filter(|period_s| MAX_PERIODS * period_s < duration_s) {
+            notes.push(NoteKind::ScanLongerThanPeriod { duration_s, period_s });
+        }
         if let n_scans @ 1.. = self.n_without_range_max {
             notes.push(NoteKind::RangeMaxUnset { n_scans });
         }
@@ -327,11 +342,20 @@ mod tests {
     }
 
     #[test]
+    fn a_scan_takes_no_longer_than_the_time_to_the_next() {
+        let mut readings = readings(&[1.0], 30.0);
+        readings.add_duration(0.1);
+        for (period_s, n_notes) in [(None, 0), (Some(0.1), 0), (Some(0.07), 0), (Some(0.05), 1)] {
+            assert_eq!(readings.notes(period_s).len(), n_notes, "{period_s:?}");
+        }
+    }
+
+    #[test]
     fn a_range_max_of_zero_is_not_set() {
         for range_max in [0.0, -1.0, f32::NAN] {
             let readings = readings(&[1.0, 5.0], range_max);
             assert_eq!(readings.fault(&LidarOptions::default()), None);
-            assert_eq!(readings.notes(), [NoteKind::RangeMaxUnset { n_scans: 1 }]);
+            assert_eq!(readings.notes(None), [NoteKind::RangeMaxUnset { n_scans: 1 }]);
         }
     }
 
