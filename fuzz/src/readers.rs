@@ -2,8 +2,8 @@
 
 use messages::{
     Encoding, MessageType, PointCloud, Source, VelodyneScan, foxglove, is_plausible_message,
-    read_imu, read_joint_state, read_laser_scan, read_nav_sat_fix, read_odometry, read_point_cloud,
-    read_pose, read_transforms, read_velodyne, ros,
+    read_frame_ids, read_imu, read_joint_state, read_laser_scan, read_nav_sat_fix, read_odometry,
+    read_point_cloud, read_pose, read_transforms, read_velodyne, ros,
 };
 
 /// Reads the bytes as every message type in one encoding, also with types that do not exist in it.
@@ -16,6 +16,8 @@ pub fn read_as_every_type(encoding: Encoding, bytes: &[u8]) {
         let is_plausible = is_plausible_message(source, bytes);
         let mut is_read = false;
         let mut note = |is_ok: bool| is_read |= is_ok;
+        // The names of the frames can be read from the start of a message that cannot be read.
+        let _names = read_frame_ids(source, bytes);
         note(read_velodyne(source, bytes).map(|scan| all_packets(&scan)).is_ok());
         let write = match message_type {
             MessageType::FoxgloveLaserScan => foxglove::write_laser_scan,

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use dataset::{Pose2, StampedPose};
 
 use crate::deskew::motion::ScanMotion;
-use crate::pose::jumps::is_too_fast;
+use crate::pose::jumps::{MIN_JUMP_M, is_too_fast, secs};
 
 /// Between poses farther apart than this the motion is unknown \[ns\]. A robot that starts to turn
 /// with 1 rad/s^2 differs after 0.25 s by 1/8 a t^2 = 0.008 rad from a motion at constant rate.
@@ -75,17 +75,47 @@ impl RecentPoses {
         let last = self.poses.partition_point(|p| p.stamp_ns < to_ns);
         self.poses.get(last)?;
         // `last` is before `first` for a scan without duration at the stamp of a pose.
-        let poses: Vec<&StampedPose> = self.poses.range(first..=last.max(first)).collect();
-        if !poses.windows(2).all(|pair| self.is_motion_known(pair[0], pair[1])) {
+        let last = last.max(first);
+        if !(first..last).all(|k| self.is_motion_known(k)) {
             return None;
         }
+        let poses: Vec<&StampedPose> = self.poses.range(first..=last).collect();
         Some(ScanMotion::new(&poses, stamp_ns))
     }
 
-    fn is_motion_known(&self, a: &StampedPose, b: &StampedPose) -> bool {
+    /// Whether the motion from pose `k` to the next one is known.
+    fn is_motion_known(&self, k: usize) -> bool {
+        let (a, b) = (&self.poses[k], &self.poses[k + 1]);
         b.stamp_ns.saturating_sub(a.stamp_ns) <= MAX_GAP_NS
             && !is_too_fast(a, b, self.max_speed_m_s)
+            && !self.jumps(k)
     }
+
+    /// Whether pose `k + 1` jumps: it is more than [`MIN_JUMP_M`] away from where the motion before and
+    /// the motion after lead. Between poses that are at most 0.25 s apart, a vehicle that brakes with
+    /// 10 m/s^2 is 0.6 m away.
+    fn jumps(&self, k: usize) -> bool {
+        let (a, b) = (&self.poses[k], &self.poses[k + 1]);
+        let [x_m, y_m] = step_m(a, b);
+        if a.pose.distance_m(&b.pose) <= MIN_JUMP_M {
+            return false;
+        }
+        let pair = |k: usize| Some((self.poses.get(k)?, self.poses.get(k + 1)?));
+        let others = [k.checked_sub(1).and_then(pair), pair(k + 1)].into_iter().flatten();
+        let mut deviations_m = others
+            .filter(|(c, d)| d.stamp_ns.saturating_sub(c.stamp_ns) <= MAX_GAP_NS)
+            .map(|(c, d)| {
+                let share = secs(a, b) / secs(c, d);
+                let [dx, dy] = step_m(c, d);
+                ((x_m - share * dx).powi(2) + (y_m - share * dy).powi(2)).sqrt()
+            })
+            .peekable();
+        deviations_m.peek().is_some() && deviations_m.all(|deviation_m| MIN_JUMP_M < deviation_m)
+    }
+}
+
+fn step_m(a: &StampedPose, b: &StampedPose) -> [f64; 2] {
+    [b.pose.x_m - a.pose.x_m, b.pose.y_m - a.pose.y_m]
 }
 
 #[cfg(test)]
@@ -155,6 +185,30 @@ mod tests {
         let [x, ..] = recent_poses.motion(1500 * MS, 1500 * MS, 1590 * MS).unwrap().at(90 * MS);
         assert!((x - 0.09).abs() < 1e-12, "{x}");
         assert_eq!(recent_poses.poses.len(), 21 + 39);
+    }
+
+    /// A robot at 1 m/s and 10 Hz, corrected by 1.3 m: 14 m/s, which is below the maximum speed. A
+    /// vehicle at 14 m/s does not jump.
+    #[test]
+    fn the_motion_is_unknown_across_a_jump_that_is_slower_than_the_maximum_speed() {
+        let steps = |step_m: fn(i64) -> f64| {
+            let mut x_m = 0.0;
+            let poses: Vec<_> = (0..20)
+                .map(|k| {
+                    x_m += step_m(k);
+                    (100 * k, pose(x_m, 0.0))
+                })
+                .collect();
+            recent_poses(&poses)
+        };
+        let corrected = steps(|k| if k == 10 { 1.4 } else { 0.1 });
+        assert_eq!(corrected.motion(910 * MS, 910 * MS, 1000 * MS), None);
+        assert!(corrected.motion(810 * MS, 810 * MS, 900 * MS).is_some());
+        assert!(corrected.motion(1010 * MS, 1010 * MS, 1100 * MS).is_some());
+        assert!(steps(|_| 1.4).motion(910 * MS, 910 * MS, 1000 * MS).is_some());
+        // It starts to move: only the motion after explains the step.
+        let starts = steps(|k| if k < 10 { 0.0 } else { 1.4 });
+        assert!(starts.motion(910 * MS, 910 * MS, 1000 * MS).is_some());
     }
 
     #[test]
