@@ -611,9 +611,9 @@ codes! {
         Warning "mostly_slip" MostlySlip {
             /// Windows in which they differ by more than the gate.
             n_outliers: u64,
-            /// All windows of one second.
+            /// All windows of one second in motion.
             n_windows: u64,
-        } => "gyroscope and wheels contradict each other in {n_outliers} of {n_windows} s: this is not wheel slip; check `track_m`, `wheel_radius_m` and the stamps; the uncertainty of the poses was raised";
+        } => "gyroscope and wheels contradict each other in {n_outliers} of {n_windows} s in motion: this is not wheel slip; check `track_m`, `wheel_radius_m` and the stamps; the uncertainty of the poses was raised";
         /// Most measured headings contradict the other sensors.
         Warning "headings_contradict" HeadingsContradict {
             /// Headings beyond the gate.

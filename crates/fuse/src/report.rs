@@ -27,11 +27,12 @@ pub struct Report {
     pub n_headings: u64,
     /// Number of used headings that were beyond the gate and therefore got less weight.
     pub n_heading_outliers: u64,
-    /// Number of one-second windows in which gyroscope and wheels were compared.
-    pub n_turns: u64,
     /// Number of one-second windows in which gyroscope and wheels differ by more than the gate
     /// allows, which indicates wheel slip.
     pub n_turn_outliers: u64,
+    /// Number of these windows in which the robot moves. At standstill, the noise of a gyroscope that
+    /// is larger than in the options has the same effect as slip.
+    pub n_moving_outliers: u64,
     /// Mean gyroscope bias over the drive; `None` without an IMU \[rad/s\].
     pub gyro_bias_mean_rad_s: Option<f64>,
     /// Gyroscope bias at the end of the drive; `None` without an IMU \[rad/s\].
@@ -93,8 +94,8 @@ impl Report {
             wheels_alone_secs: steps.wheels_alone_secs,
             n_headings: path.n_headings,
             n_heading_outliers: path.n_heading_outliers,
-            n_turns: path.n_turns,
             n_turn_outliers: path.n_turn_outliers,
+            n_moving_outliers: path.n_moving_outliers,
             gyro_bias_mean_rad_s: has_gyro.then_some(bias_mean),
             gyro_bias_last_rad_s: path.estimates.last().filter(|_| has_gyro).map(bias),
             // d (track / (1 + k)) = -track / (1 + k)^2 dk

@@ -42,9 +42,9 @@ pub(crate) struct Path {
     pub(crate) last: State,
     pub(crate) n_headings: u64,
     pub(crate) n_heading_outliers: u64,
-    /// Comparisons of gyroscope and wheels.
-    pub(crate) n_turns: u64,
+    /// Windows of gyroscope and wheels that were beyond the gate, and those of them in motion.
     pub(crate) n_turn_outliers: u64,
+    pub(crate) n_moving_outliers: u64,
 }
 
 impl Estimate {
@@ -74,7 +74,7 @@ impl Estimate {
 pub(crate) fn estimate(options: &Options, steps: &Steps, start: dataset::Pose2) -> Path {
     let mut state = State::start(options, start);
     let (mut n_headings, mut n_heading_outliers) = (0, 0);
-    let (mut n_turns, mut n_turn_outliers) = (0, 0);
+    let (mut n_turn_outliers, mut n_moving_outliers) = (0, 0);
     let mut count_heading = |update: Option<Update>| {
         n_headings += u64::from(update.is_some());
         n_heading_outliers += u64::from(update.is_some_and(|update| update.is_outlier));
@@ -89,14 +89,22 @@ pub(crate) fn estimate(options: &Options, steps: &Steps, start: dataset::Pose2) 
         }
         let applied = state.step(options, &steps.windows, step);
         count_heading(applied.heading);
-        n_turns += u64::from(applied.turn.is_some());
-        n_turn_outliers += u64::from(applied.turn.is_some_and(|update| update.is_outlier));
+        let is_outlier = applied.turn.is_some_and(|update| update.is_outlier);
+        n_turn_outliers += u64::from(is_outlier);
+        n_moving_outliers += u64::from(is_outlier && !step.motion.is_still);
         estimates.push(Estimate::filtered(&state));
     }
     if options.smooth {
         smooth(options, steps, &kept, &mut estimates);
     }
-    Path { estimates, last: state, n_headings, n_heading_outliers, n_turns, n_turn_outliers }
+    Path {
+        estimates,
+        last: state,
+        n_headings,
+        n_heading_outliers,
+        n_turn_outliers,
+        n_moving_outliers,
+    }
 }
 
 /// Replaces the estimates of the filter by those of the smoother. The last estimate is the same in

@@ -315,9 +315,11 @@ fn notes_of_fusion(report: &fuse::Report) -> Vec<NoteKind> {
 fn contradictions(report: &fuse::Report, options: &fuse::Options) -> Vec<NoteKind> {
     let is_many = |n: u64, of: u64| 3 <= n && MANY_OUTLIERS * (of as f64) < n as f64;
     let mut found = Vec::new();
-    // Windows of one second. Those in which the samples are too sparse are not compared, but count.
-    let (n_windows, n_outliers) = (report.duration_secs as u64, report.n_turn_outliers);
-    if is_many(n_outliers, n_windows.max(report.n_turns)) {
+    // Windows of one second in motion. Those in which the samples are too sparse are not compared, but
+    // count.
+    let moving_secs = report.duration_secs * (1.0 - report.still_share);
+    let (n_windows, n_outliers) = (moving_secs.round() as u64, report.n_moving_outliers);
+    if is_many(n_outliers, n_windows) {
         found.push(NoteKind::MostlySlip { n_outliers, n_windows });
     }
     let (n_headings, n_outliers) = (report.n_headings, report.n_heading_outliers);

@@ -63,7 +63,11 @@ pub enum WheelError {
     },
     /// The yaw rate of the twist contradicts the headings of the poses.
     #[error(
-        "the headings of the poses turn {ratio:.3} times as much as `twist.angular.z` of the same messages, expected 1: the yaw rate is not written, has another sign, or is in deg/s. Set `ingest.pose.topic` to this topic to use its poses instead"
+        "{}. Set `ingest.pose.topic` to this topic to use its poses instead",
+        match ratio.is_finite() {
+            true => format!("the headings of the poses turn {ratio:.3} times as much as `twist.angular.z` of the same messages, expected 1: the yaw rate has another sign or unit"),
+            false => "`twist.angular.z` is 0 in all messages, but the headings of their poses turn: the yaw rate is not written".to_owned(),
+        }
     )]
     TwistTurns {
         /// Turns of the poses over turns by the twist; infinite if the twist does not turn.
