@@ -101,6 +101,12 @@ pub(crate) fn pose_candidates(survey: &Survey) -> Vec<PoseCandidate<'_>> {
     candidates
 }
 
+/// Whether a topic has ground truth by its name.
+pub(crate) fn is_ground_truth(topic: &str) -> bool {
+    let name = topic.to_lowercase();
+    TRUTH.iter().any(|part| name.contains(part))
+}
+
 /// Whether a frame is one of odometry, by the last part of its name: `odom`, `robot1/odom`,
 /// `odom_combined`, `vio_odom`.
 pub(crate) fn is_odometry_frame(frame_id: &str) -> bool {
@@ -142,7 +148,7 @@ fn quality_of(topic: &TopicSurvey) -> (Quality, String) {
         "" => "its messages name no frame".to_owned(),
         frame => format!("frame `{frame}`"),
     };
-    if named(&TRUTH) {
+    if is_ground_truth(&name) {
         return (Quality::Truth, "ground truth by its name".to_owned());
     }
     let is_carried = CARRIED.iter().any(|part| last_part(frame).contains(part));

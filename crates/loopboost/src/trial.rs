@@ -14,6 +14,7 @@ use crate::findings::Findings;
 use crate::label_choice::LabelChoice;
 use crate::run::progress_bar;
 use crate::stage::Stage;
+use crate::stages::featurize::check_one_kind_of_scan;
 
 /// What the first stages make of a log. Nothing is written.
 #[derive(Default)]
@@ -84,6 +85,9 @@ impl Trial {
             let log: Arc<str> = name.into();
             match subsample::subsample(&config.subsample, &log, &log, &candidates, &trajectory) {
                 Ok((keyframes, losses)) => {
+                    if let Err(error) = check_one_kind_of_scan(&keyframes) {
+                        trial.refusal = Some((Stage::Featurize, error));
+                    }
                     let labels = LabelChoice::of(config.seed, &keyframes);
                     trial.findings.notes.extend(labels.notes.iter().cloned());
                     trial.findings.losses.merge(losses);

@@ -87,7 +87,7 @@ fn features_of(options: &featurize::Options, scans: &[Scan]) -> Result<Vec<Vec<f
 }
 
 /// The features of a full circle cannot be compared with those of a part of it.
-fn check_one_kind_of_scan(keyframes: &[Keyframe]) -> Result<()> {
+pub(crate) fn check_one_kind_of_scan(keyframes: &[Keyframe]) -> Result<()> {
     let is_ring = |k: &&Keyframe| dataset::FULL_RING_DEG <= k.coverage_deg;
     let ring = keyframes.iter().find(is_ring);
     let open = keyframes.iter().find(|k| !is_ring(k));

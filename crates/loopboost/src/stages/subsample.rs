@@ -9,6 +9,7 @@ use subsample::{Candidate, SubsampleError};
 
 use crate::findings::Findings;
 use crate::logs::LogFile;
+use crate::pose_choice::is_ground_truth;
 use crate::run::{Done, Run};
 use crate::site_frames::{Start, unshared_frames};
 use crate::stage::{Artifact, Stage, sites};
@@ -80,12 +81,14 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
     Ok(done)
 }
 
-/// Where the trajectory of a log starts. `None` if the pipeline states it: the user has then placed the
-/// log in the map frame of the site.
+/// Where the trajectory of a log starts. `None` if its map frame is known: the pipeline states it, or the
+/// poses are ground truth.
 fn shared_start(run: &Run, log: &str, trajectory: &Trajectory) -> Result<Option<Start>> {
-    let pose = run.config.for_log(log)?.pose;
-    let is_stated = pose.is_some_and(|pose| pose.start.is_some() || pose.origin.is_some());
-    Ok(Start::of(log, trajectory).filter(|_| !is_stated))
+    let is_known = run.config.for_log(log)?.pose.is_some_and(|pose| {
+        let is_truth = pose.topic.as_deref().is_some_and(is_ground_truth);
+        is_truth || pose.start.is_some() || pose.origin.is_some()
+    });
+    Ok(Start::of(log, trajectory).filter(|_| !is_known))
 }
 
 /// The keyframes of a log, or why it has none.
