@@ -153,7 +153,8 @@ mod tests {
     fn trajectories_that_differ_by_a_rigid_motion_or_little_drift_agree() {
         assert_eq!(disagreement(&laps(0.0, 1.0), &laps(0.4, 1.0), "/odom"), None);
         assert_eq!(disagreement(&laps(0.0, 1.0), &laps(0.0, 1.05), "/odom"), None);
-        let moved = laps(0.0, 1.0).poses().iter().map(|pose| {
+        let original = laps(0.0, 1.0);
+        let moved = original.poses().iter().map(|pose| {
             let turned = Pose2 { x_m: 100.0, y_m: 0.0, heading_rad: 1.0 } * pose.pose;
             StampedPose { pose: turned, ..*pose }
         });
