@@ -256,7 +256,7 @@ fn a_copy_with_other_bytes_is_reported() {
     let copy = log(&drive(&path), Schema::Truncated);
     fs::write(workplace.path("logs/monday-2.mcap"), copy).unwrap();
     workplace.command("ingest", "out", &[]).expect(0);
-    workplace.command("subsample", "out", &[]).expect(0);
+    workplace.command("subsample", "out", &[]).expect(3);
     let finished = workplace.command("label", "out", &[]).expect(3);
     finished.says(&[
         "warning[same_scans_in_two_logs]",

@@ -188,8 +188,8 @@ fn coded_rows(markdown: &str) -> BTreeMap<String, String> {
 fn the_docs_list_every_code_of_a_loss_a_note_and_an_error_of_a_log() {
     let docs = fs::read_to_string(root().join("docs/messages.md")).unwrap();
     let rows = coded_rows(&docs);
-    let sources = ["error.rs", "pose/wheel_error.rs"]
-        .map(|file| fs::read_to_string(root().join("crates/ingest/src").join(file)).unwrap());
+    let sources = ["ingest/src/error.rs", "ingest/src/pose/wheel_error.rs", "subsample/src/lib.rs"]
+        .map(|file| fs::read_to_string(root().join("crates").join(file)).unwrap());
     let errors: Vec<&str> = sources
         .iter()
         .flat_map(|source| {

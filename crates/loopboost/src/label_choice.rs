@@ -188,10 +188,13 @@ mod tests {
         assert_eq!(choice.refusal, None);
         assert!(text.contains("negative_min_m = 25.0"), "{text}");
         assert!(text.contains("positive_heading_deg = 45.0"), "{text}");
-        // Fewer than the default: 180 places with at most 7 neighbours.
+        // A circle of 60 m is 19 m wide, and has 120 places with at most 7 neighbours.
+        let keyframes = laps(2, 60.0, 270.0);
+        let (choice, text) = section(&keyframes);
+        assert_eq!(choice.refusal, None);
+        assert!(text.contains("negative_min_m = 10.0"), "{text}");
         assert!(text.contains("pairs_per_class"), "{text}");
-        let options = choice.options;
-        assert!(label::label(&options, 7, &laps(2, 90.0, 270.0)).is_ok());
+        assert!(label::label(&choice.options, 7, &keyframes).is_ok());
     }
 
     #[test]

@@ -133,19 +133,14 @@ pub enum SubsampleError {
 }
 
 impl SubsampleError {
-    /// A stable name of the error, for programs.
-    pub fn code(&self) -> &'static str {
+    /// A stable name of an error of one log, for programs. `None` if the error is not about the log.
+    pub fn code(&self) -> Option<&'static str> {
         match self {
-            Self::NoPoses { .. } => "log_without_poses",
-            Self::NeverMoves { .. } => "never_moves",
-            Self::NoKeyframes { .. } => "no_keyframes",
-            Self::OutOfRange(_) => "option_out_of_range",
+            Self::NoPoses { .. } => Some("log_without_poses"),
+            Self::NeverMoves { .. } => Some("never_moves"),
+            Self::NoKeyframes { .. } => Some("no_keyframes"),
+            Self::OutOfRange(_) => None,
         }
-    }
-
-    /// Whether other logs may have keyframes with the same options.
-    pub fn is_of_one_log(&self) -> bool {
-        !matches!(self, Self::OutOfRange(_))
     }
 }
 

@@ -29,7 +29,7 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
     let sites = sites(&run.config, &names)?;
     let mut done = Done::default();
     let mut keyframes = Vec::new();
-    let mut failed: Vec<(SubsampleError, &LogFile)> = Vec::new();
+    let mut failed: Vec<(SubsampleError, &str, &LogFile)> = Vec::new();
     let mut starts: BTreeMap<String, Vec<Start>> = BTreeMap::new();
     for log in logs {
         let (trajectory, _) = read_poses(&run.poses(&log.name))?;
@@ -49,8 +49,10 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
                 keyframes.extend(of_log);
                 done.losses.merge(losses.in_log(&log.name));
             }
-            Err(error) if run.strict || !error.is_of_one_log() => return Err(error.into()),
-            Err(error) => failed.push((error, log)),
+            Err(error) => match error.code().filter(|_| !run.strict) {
+                Some(code) => failed.push((error, code, log)),
+                None => return Err(error.into()),
+            },
         }
     }
     if logs.is_empty() {
@@ -60,17 +62,17 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
     }
     if failed.len() == logs.len() {
         return Err(match <[_; 1]>::try_from(failed) {
-            Ok([(error, _)]) => error.into(),
+            Ok([(error, ..)]) => error.into(),
             Err(failed) => anyhow!(
                 "none of the {} logs has keyframes:\n  {}",
                 logs.len(),
-                failed.iter().map(|(e, _)| e.to_string()).collect::<Vec<_>>().join("\n  ")
+                failed.iter().map(|(e, ..)| e.to_string()).collect::<Vec<_>>().join("\n  ")
             ),
         });
     }
-    for (error, log) in &failed {
+    for (error, code, log) in &failed {
         eprintln!("log `{}` left out of the run: {error}", log.name);
-        let kind = LossKind::LogLeftOut { error: error.code().to_owned() };
+        let kind = LossKind::LogLeftOut { error: (*code).to_owned() };
         done.losses.add(Loss::new(kind, Subject::log(&*log.name)), 1);
     }
     done.notes = unshared_frames(&starts).into_iter().map(Note::from).collect();
