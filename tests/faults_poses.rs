@@ -210,7 +210,7 @@ fn satellite_fixes_that_jump_away_and_back_are_left_out() {
         Some(fix(s, 1.5 * s + off_m))
     });
     let ingested = ingest(&messages, "topic = \"/gps\"", 3);
-    ingested.says(&["warning[pose_outliers]: 3 poses that jump away"]);
+    ingested.says(&["warning[pose_outliers]: 3 outliers among the poses"]);
     assert_eq!(ingested.segments(), [(197, 0)]);
     let trajectory = ingested.trajectory();
     let north_rad = std::f64::consts::FRAC_PI_2;

@@ -121,7 +121,7 @@ codes! {
         } => "message{s} with a position farther than {max_m} m from the origin";
         /// A pose jumps away from the poses before and after it.
         Warning "pose_outliers" PoseOutliers
-            => "pose{s} that jump away from the poses before and after";
+            => "outlier{s} among the poses, far away from the poses before and after";
         /// Poses at times that occur twice.
         Warning "poses_at_repeated_times" PosesAtRepeatedTimes
             => "pose{s} at times that occur twice, because the clock was set back";

@@ -253,8 +253,10 @@ impl Found {
             notes.push(NoteKind::PosesReordered { n_poses: clock.n_late });
         }
         notes.extend(clock.note(in_file));
-        let n_contradictory = self.n_outliers as usize + self.jumps.len();
-        Segmented { poses: self.poses, losses, notes, n_contradictory, n_poses: n_all }
+        let n_outliers = self.n_outliers as usize;
+        let n_contradictory = n_outliers + self.jumps.len();
+        let n_poses = n_all + n_outliers;
+        Segmented { poses: self.poses, losses, notes, n_contradictory, n_poses }
     }
 
     fn notes(&self) -> Vec<NoteKind> {
