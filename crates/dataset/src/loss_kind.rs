@@ -119,6 +119,11 @@ codes! {
             /// Largest possible coordinate \[m\].
             max_m: u64,
         } => "message{s} with a position farther than {max_m} m from the origin";
+        /// A reading of a wheel or an IMU is finite but impossible.
+        Warning "impossible_readings" ImpossibleReadings {
+            /// Largest possible value.
+            max: u64,
+        } => "message{s} with a speed, turn rate, acceleration or wheel position of more than {max}";
         /// A pose jumps away from the poses before and after it.
         Warning "pose_outliers" PoseOutliers
             => "outlier{s} among the poses, far away from the poses before and after";

@@ -14,7 +14,7 @@ use std::path::Path;
 
 use dataset::{LossKind, Losses, Pose2, StampedPose};
 
-use crate::pose::message::{planar_covariance, unit_quaternion, yaw_rad};
+use crate::pose::message::{check_position, planar_covariance, unit_quaternion, yaw_rad};
 use crate::time_unit::TimeUnit;
 
 /// Why a trajectory file cannot be used.
@@ -166,8 +166,13 @@ fn parse(
             let [stamp_s, previous_s] = [stamp_ns, previous.stamp_ns].map(|ns| ns as f64 * 1e-9);
             return Err(PoseFileError::Unordered { line, stamp_s, previous_s });
         }
+        let position = layout.position(&numbers);
+        if let Err(kind) = check_position(&position) {
+            losses.add(kind, 1);
+            continue;
+        }
         tilts.add(&rotation);
-        let [x_m, y_m, z_m] = layout.position(&numbers);
+        let [x_m, y_m, z_m] = position;
         let pose = Pose2 { x_m, y_m, heading_rad: rotation.heading_rad };
         poses.push(StampedPose {
             covariance: layout.covariance(&numbers),

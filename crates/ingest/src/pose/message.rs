@@ -25,6 +25,31 @@ pub(crate) fn check_position(position: &[f64; 3]) -> Result<(), LossKind> {
     }
 }
 
+/// Speeds, turn rates and accelerations are smaller than this, in any unit \[m/s, rad/s, m/s^2\]. A
+/// gyroscope measures up to 4000 deg/s, an accelerometer up to 1e4 m/s^2.
+const MAX_RATE: f64 = 1e6;
+/// Positions of wheels are smaller than this \[rad or m\], after any distance.
+const MAX_WHEEL_POSITION: f64 = 1e9;
+
+/// Checks that the readings of wheels or an IMU are possible. Values that are not finite are counted
+/// where the readings are used.
+pub(crate) fn check_rates<'a>(rates: impl IntoIterator<Item = &'a f64>) -> Result<(), LossKind> {
+    check_readings(rates, MAX_RATE)
+}
+
+/// Checks that the positions of wheels are possible.
+pub(crate) fn check_wheel_positions(positions: &[f64]) -> Result<(), LossKind> {
+    check_readings(positions, MAX_WHEEL_POSITION)
+}
+
+fn check_readings<'a>(values: impl IntoIterator<Item = &'a f64>, max: f64) -> Result<(), LossKind> {
+    let is_possible = |v: &f64| !v.is_finite() || v.abs() < max;
+    match values.into_iter().all(is_possible) {
+        true => Ok(()),
+        false => Err(LossKind::ImpossibleReadings { max: max as u64 }),
+    }
+}
+
 /// Reads one pose message. The error is the kind of loss that the message is counted as.
 pub(crate) fn stamped_pose(source: Source, data: &[u8]) -> Result<StampedPose, LossKind> {
     let (pose, covariance) =
@@ -147,6 +172,15 @@ mod tests {
         assert_eq!(read(&covariance), Some([0.5, 1.0, 5.0, 11.0, 15.0, 55.0]));
         covariance[35] = f64::NAN;
         assert_eq!(read(&covariance), None);
+    }
+
+    #[test]
+    fn impossible_readings_are_refused() {
+        assert_eq!(check_rates(&[0.0, -70.0, 9e5, f64::NAN]), Ok(()));
+        let impossible = LossKind::ImpossibleReadings { max: 1_000_000 };
+        assert_eq!(check_rates(&[0.0, -1e300]), Err(impossible));
+        assert_eq!(check_wheel_positions(&[1e8]), Ok(()));
+        assert!(check_wheel_positions(&[1e300]).is_err());
     }
 
     #[test]

@@ -15,7 +15,9 @@ use crate::pose::frames::TransformHistory;
 use crate::pose::gnss;
 use crate::pose::joint_speeds::{JointReading, JointSet};
 use crate::pose::joints::{JointFault, WheelJoints};
-use crate::pose::message::{stamped_pose, undecodable, yaw_rad};
+use crate::pose::message::{
+    check_position, check_rates, check_wheel_positions, stamped_pose, undecodable, yaw_rad,
+};
 use crate::pose::twist::OdometryReading;
 use crate::pose_options::{Frames, PoseOptions};
 use crate::wheel_options::WheelsTopic;
@@ -64,6 +66,9 @@ impl MotionReadings {
         match (source.message_type, &options.wheels) {
             (MessageType::Imu, _) => {
                 let imu = read_imu(source, data).map_err(undecodable)?;
+                check_rates(
+                    imu.angular_velocity.iter().chain(imu.linear_acceleration.iter().flatten()),
+                )?;
                 let frames = read_frame_ids(source, data).map_err(undecodable)?.unwrap_or_default();
                 let frame_id = frames.frame_id.as_ref();
                 if options.imu_frame_id.as_deref().is_some_and(|wanted| !is_frame(wanted, frame_id))
@@ -102,6 +107,10 @@ impl MotionReadings {
             }
             (MessageType::Odometry, Some(_)) => {
                 let odometry = read_odometry(source, data).map_err(undecodable)?;
+                check_rates(odometry.linear_velocity.iter().chain(&odometry.angular_velocity))?;
+                if odometry.pose.position.iter().all(|v| v.is_finite()) {
+                    check_position(&odometry.pose.position)?;
+                }
                 let frames = [odometry.frame_id.clone(), odometry.child_frame_id.clone()];
                 if options.frame_id.as_deref().is_none_or(|wanted| is_frame(wanted, &frames[0])) {
                     *self.odometry_frames.entry(frames).or_default() += 1;
@@ -151,6 +160,8 @@ impl MotionReadings {
         };
         let (positions, velocities) =
             (of_wheels(&message.positions), of_wheels(&message.velocities));
+        check_rates(&velocities)?;
+        check_wheel_positions(&positions)?;
         if positions.is_empty() && velocities.is_empty() {
             return Err(LossKind::NoWheelJoints { joints: names() });
         }
@@ -211,7 +222,7 @@ fn is_frame(wanted: &str, found: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use messages::{Encoding, JointState, ros};
+    use messages::{Encoding, Imu, JointState, Odometry, StampedPose3, ros};
 
     fn add_joints(
         readings: &mut MotionReadings,
@@ -229,6 +240,48 @@ mod tests {
         let source = Source { message_type: MessageType::JointState, encoding: Encoding::Cdr };
         let options = PoseOptions { wheels: Some("/wheels".into()), ..PoseOptions::default() };
         readings.add("/wheels", source, 9, &bytes, &options)
+    }
+
+    /// One absurd value of any wheel, gyroscope or twist: the message is not used.
+    #[test]
+    fn impossible_readings_are_counted() {
+        let mut readings = MotionReadings::default();
+        let impossible = |max| Err(LossKind::ImpossibleReadings { max });
+        let names = ["left_wheel", "right_wheel"];
+        let added = add_joints(&mut readings, &names, &[1.0, -1e300], &[]);
+        assert_eq!(added, impossible(1_000_000));
+        let added = add_joints(&mut readings, &names, &[], &[1e300, 0.0]);
+        assert_eq!(added, impossible(1_000_000_000));
+        let odometry = Odometry {
+            pose: StampedPose3 {
+                stamp_ns: 7,
+                position: [0.0; 3],
+                orientation: [0.0, 0.0, 0.0, 1.0],
+            },
+            frame_id: "odom".to_owned(),
+            child_frame_id: "base".to_owned(),
+            pose_covariance: [0.0; 36],
+            linear_velocity: [1e300, 0.0, 0.0],
+            angular_velocity: [0.0; 3],
+        };
+        let options = PoseOptions { wheels: Some("/wheels".into()), ..PoseOptions::default() };
+        let mut add = |message_type, bytes: &[u8]| {
+            let source = Source { message_type, encoding: Encoding::Cdr };
+            readings.add("/wheels", source, 9, bytes, &options)
+        };
+        let bytes = ros::write_odometry(Encoding::Cdr, &odometry);
+        assert_eq!(add(MessageType::Odometry, &bytes), impossible(1_000_000));
+        let imu = Imu {
+            stamp_ns: 7,
+            orientation: None,
+            angular_velocity: [0.0, 0.0, -1e200],
+            linear_acceleration: None,
+        };
+        let bytes = ros::write_imu(Encoding::Cdr, "imu", &imu);
+        assert_eq!(add(MessageType::Imu, &bytes), impossible(1_000_000));
+        assert!(
+            readings.joints.is_empty() && readings.odometry.is_empty() && readings.imu.is_empty()
+        );
     }
 
     #[test]
