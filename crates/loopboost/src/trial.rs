@@ -4,9 +4,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, Result};
 use dataset::{Keyframe, NoteKind, Scan, StampedPose, Subject};
-use ingest::{
-    IngestError, Ingested, Log, Options, PoseOptions, Survey, WheelError, WheelSpeedUnit,
-};
+use ingest::{IngestError, Ingested, Log, Options, PoseOptions, Survey, WheelError};
 use subsample::Candidate;
 
 use crate::config::Config;
@@ -142,6 +140,8 @@ impl Trial {
 
 /// Track width of a guess \[m\]; robots have 0.2 to 3 m.
 const GUESSED_TRACK_M: f64 = 0.5;
+/// Radius of the wheels of a guess \[m\]: the numbers of joints in m/s do not change with it.
+const GUESSED_RADIUS_M: f64 = 1.0;
 /// Notes that depend on the size of the wheels or the track.
 const SIZE_NOTES: [&str; 10] = [
     "poses_fused",
@@ -156,18 +156,24 @@ const SIZE_NOTES: [&str; 10] = [
     "place_share_limited",
 ];
 
-/// The options with a guess of the track width, and with joints in m/s if their radius is not set.
+/// The options with a guess of the track width, and with a radius of the wheels, if they are not set.
 /// `None` if the track width is set, or the poses do not come from wheels.
 fn with_guessed_wheels(pose: &PoseOptions) -> Option<PoseOptions> {
     if pose.wheels.is_none() || pose.track_m.is_some() {
         return None;
     }
     let is_unit_known = pose.wheel_radius_m.is_some() || pose.wheel_speed_unit.is_some();
-    let wheel_speed_unit = match is_unit_known {
-        true => pose.wheel_speed_unit,
-        false => Some(WheelSpeedUnit::MetresPerSecond),
+    let wheel_radius_m = match is_unit_known {
+        true => pose.wheel_radius_m,
+        false => Some(GUESSED_RADIUS_M),
     };
-    Some(PoseOptions { track_m: Some(GUESSED_TRACK_M), wheel_speed_unit, ..pose.clone() })
+    Some(PoseOptions {
+        track_m: Some(GUESSED_TRACK_M),
+        wheel_radius_m,
+        // The guess makes most robots faster than they are.
+        max_speed_m_s: f64::INFINITY,
+        ..pose.clone()
+    })
 }
 
 /// Whether an error can come from the guess: gyroscope and wheels turn alike, but not by the same
