@@ -332,3 +332,19 @@ fn wrong_command_lines_and_pipelines_exit_with_2() {
     let finished = workplace.command("ingest", "out", &[]).expect(2);
     finished.says(&["two logs are named `good`", "logs/good.mcap and ", "logs/more/good.mcap"]);
 }
+
+/// All stamps of the poses are 0. The log times show that the robot moves, and the pipeline uses them.
+#[test]
+fn inspect_suggests_log_times_for_poses_without_stamps() {
+    let path = two_laps();
+    let mut unstamped = poses("/pose", "map", &path);
+    for (k, message) in unstamped.iter_mut().enumerate() {
+        message.data = write_pose_stamped(messages::Encoding::Cdr, "map", &pose3(0, path[k]));
+    }
+    let workplace = workplace("", &[("a", made(vec![unstamped, scans("laser", &path, false)]))]);
+    let finished = loopboost(&["inspect", workplace.path("logs/a.mcap").to_str().unwrap()]);
+    for line in ["640 of 640 stamps are 0", "pose.topic = \"/pose\"", "pose.stamp = \"log\""] {
+        assert!(finished.stdout.contains(line), "`{line}` is not in:\n{}", finished.stdout);
+    }
+    assert!(!finished.stdout.contains("refused: `ingest`"), "{}", finished.stdout);
+}

@@ -99,6 +99,8 @@ struct Found {
     /// Number of packets of other Velodyne models, by model name.
     foreign: BTreeMap<&'static str, u64>,
     poses: Vec<StampedPose>,
+    /// Log time of each pose \[ns\].
+    pose_log_ns: Vec<u64>,
     /// Satellite fixes, all with frame 0.
     fixes: Vec<(NavSatFix, u32)>,
     /// The names in each kind of `JointState` message.
@@ -170,6 +172,7 @@ impl Found {
         if let Err(kind) = self.add_content(source, data) {
             self.losses.add(Loss::new(kind, Subject::topic(topic)), 1);
         }
+        self.pose_log_ns.resize(self.poses.len(), time);
     }
 
     /// Counts the message in its frame. A message that cannot be decoded is counted with its content.
@@ -282,6 +285,7 @@ impl Found {
             *self.foreign.entry(model).or_default() += n;
         }
         self.poses.extend(other.poses);
+        self.pose_log_ns.extend(other.pose_log_ns);
         self.fixes.extend(other.fixes);
         for (names, found) in other.transforms {
             let of_names = self.transforms.entry(names);
@@ -327,8 +331,15 @@ impl Gathered {
         });
         let source = Source::new(&schema, &encoding).or(self.found.source);
         let message_type = source.map(|source| source.message_type);
-        let content = self.content(message_type);
         let stamps = self.stamps(message_type);
+        if stamps.needs_log_times() {
+            // As the suggested pipeline does.
+            let log_ns = self.found.pose_log_ns.iter();
+            for (pose, log_ns) in self.found.poses.iter_mut().zip(log_ns) {
+                pose.stamp_ns = i64::try_from(*log_ns).unwrap_or(i64::MAX);
+            }
+        }
+        let content = self.content(message_type);
         losses.merge(self.found.losses.on_topic(&topic));
         let frame = |((frame_id, child_frame_id), n_messages)| FrameSurvey {
             frame_id,
