@@ -7,7 +7,8 @@ use crate::error::{BeamNotFound, IngestError};
 use crate::mcap::chunk::{self, Buffer};
 use crate::observe::frames::without_slash;
 use crate::options::LidarOptions;
-use crate::scan::cloud::Rings;
+use crate::scan::cloud::{Rings, check_frame};
+use crate::scan::cloud_frame::{ConeCheck, FrameName};
 use crate::scan::point_time::PointTimeFound;
 use crate::velodyne::model::Laser;
 
@@ -41,7 +42,17 @@ impl Beam {
             beam.laser = Laser::choose(options).map_err(no_beam)?;
         }
         if lidar.any(is_cloud) {
-            let rings = read_rings(drive, lidar, options);
+            let Clouds { rings, cones, frame_id } = read_clouds(drive, lidar, options);
+            let name = FrameName::of(&frame_id, std::iter::empty());
+            // Rings of clouds in another frame have no elevation to select a beam by.
+            let no_beam = |not_found| match cones.fault(name) {
+                None => no_beam(not_found),
+                Some(evidence) => {
+                    let (path, topic) = (drive.path(), lidar.name.clone());
+                    let frame_id = frame_id.clone();
+                    IngestError::NotInSensorFrame { path, topic, frame_id, evidence }
+                }
+            };
             // Without a readable cloud there is no scan, and the losses say why.
             beam.ring = rings.choose(options).map_err(no_beam)?.unwrap_or(beam.ring);
             beam.point_time = rings.point_time();
@@ -66,10 +77,24 @@ fn is_selected(source: Source, data: &[u8], options: &LidarOptions) -> bool {
     })
 }
 
+/// What the first clouds of a drive show.
+#[derive(Default)]
+struct Clouds {
+    rings: Rings,
+    /// The rings of the first few clouds.
+    cones: ConeCheck,
+    /// Frame of the first cloud.
+    frame_id: String,
+}
+
+/// Number of clouds whose frame is checked.
+const N_CHECKED: usize = 10;
+
 /// Reads clouds until the rings and their elevations are known.
-fn read_rings(drive: &Drive<'_>, lidar: &Topic, options: &LidarOptions) -> Rings {
-    let mut rings = Rings::default();
+fn read_clouds(drive: &Drive<'_>, lidar: &Topic, options: &LidarOptions) -> Clouds {
+    let mut clouds = Clouds::default();
     let mut buffer = Buffer::default();
+    let mut n_checked = 0;
     let mut is_enough = false;
     for FilePiece { file, log, piece, .. } in drive.pieces_with(&[lidar]) {
         if is_enough {
@@ -80,10 +105,18 @@ fn read_rings(drive: &Drive<'_>, lidar: &Topic, options: &LidarOptions) -> Rings
             if let Some(source) = lidar.source(file, header.channel_id).filter(is_cloud)
                 && !is_enough
                 && is_selected(source, data, options)
+                && clouds.rings.add(source, data).is_ok()
             {
-                is_enough = rings.add(source, data).is_ok() && rings.is_enough(options);
+                is_enough = clouds.rings.is_enough(options);
+                if n_checked == 0 {
+                    let ids = read_frame_ids(source, data).ok().flatten().unwrap_or_default();
+                    clouds.frame_id = ids.frame_id.into_owned();
+                }
+                if n_checked < N_CHECKED && check_frame(source, data, &mut clouds.cones).is_ok() {
+                    n_checked += 1;
+                }
             }
         });
     }
-    rings
+    clouds
 }
