@@ -23,6 +23,9 @@ codes! {
         /// Bytes between two chunks are not records.
         Warning "bytes_between_chunks" BytesBetweenChunks
             => "byte range{s} between chunks without records";
+        /// Another file follows the footer.
+        Warning "bytes_after_end" BytesAfterEnd
+            => "byte{s} after the footer of the file are not read (files joined byte by byte? join them with `mcap merge`)";
         /// A record has an opcode that the format does not define.
         Warning "unknown_records" UnknownRecords
             => "record{s} of a kind that the MCAP format does not define";

@@ -164,6 +164,23 @@ fn chunks_without_the_topics_are_checked() {
     assert_eq!(codes(&read(&other).losses), [("chunk_crc_mismatch", 1)]);
 }
 
+/// `cat a.mcap b.mcap`: the second file is not read, and its bytes are counted.
+#[test]
+fn bytes_after_the_footer_are_counted() {
+    let indexed = common::write(&common::planar_log(), common::small_chunks());
+    for bytes in [file(&[definitions(), messages(1).concat()]), indexed] {
+        let joined = [bytes.clone(), bytes.clone()].concat();
+        let (ingested, survey) = read(&joined);
+        let ingested = ingested.unwrap();
+        assert_eq!(ingested.n_scans, 10);
+        for losses in [&ingested.losses, &survey.losses] {
+            let found = codes(losses);
+            assert!(found.contains(&("bytes_after_end", bytes.len() as u64)), "{found:?}");
+        }
+        assert!(!codes(&read(&bytes).1.losses).iter().any(|(code, _)| *code == "bytes_after_end"));
+    }
+}
+
 #[test]
 fn a_log_that_is_truncated_or_written_after_it_was_opened_is_an_error_with_its_name() {
     let folder = tempfile::tempdir().unwrap();

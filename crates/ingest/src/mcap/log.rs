@@ -279,6 +279,7 @@ fn scan(view: &mut View<'_>, range: Range<usize>, contents: &mut Contents) {
             op::CHUNK => contents.pieces.push(piece(PieceKind::Chunk, record.body)),
             op::DATA_END | op::FOOTER => {
                 ended = true;
+                contents.losses.add(LossKind::BytesAfterEnd, bytes_after_end(view, start));
                 break;
             }
             _ => {}
@@ -294,6 +295,18 @@ fn scan(view: &mut View<'_>, range: Range<usize>, contents: &mut Contents) {
             contents.pieces.push(piece(PieceKind::TruncatedChunk, at..view.len()));
         }
     }
+}
+
+/// The number of bytes after the first footer and its magic bytes, from a position before it. Files that
+/// were joined byte by byte have another log there.
+fn bytes_after_end(view: &mut View<'_>, mut at: usize) -> u64 {
+    while let Some(record) = record_at(view, at, view.len()) {
+        at = record.body.end;
+        if record.opcode == op::FOOTER {
+            return view.len().saturating_sub(at + mcap::MAGIC.len()) as u64;
+        }
+    }
+    0
 }
 
 fn ends_with_magic(view: &mut View<'_>) -> bool {
