@@ -28,6 +28,12 @@ fn inspect_and_ingest_name_the_format_of_a_file_and_the_command_that_reads_it() 
         ("f.bag", b"#ROSBAG V2.0\n", "is a ROS 1 bag", "`mcap convert {in} {stem}.mcap`"),
         ("g.db3", b"SQLite format 3\0", "an SQLite database", "`mcap convert {in} {stem}.mcap`"),
         ("h.rawlog", b"\x1F\x8B\x08", "an MRPT rawlog", "`rawlog-edit --info -i {in}`"),
+        (
+            "k.mcap",
+            b"#ROSBAG V2.0\n",
+            "is a ROS 1 bag",
+            "`mcap convert {in} {stem}.converted.mcap`",
+        ),
         ("i", b"\x8DCSensoryFrame\x02", "an MRPT rawlog", "`rawlog-edit --info -i {in}`"),
         ("j.log", CARMEN, "is a CARMEN log", "`loopboost import {in} --out {stem}.mcap`"),
         ("groundtruth_2013-01-10.csv", b"1,2,3\n", "NCLT data set", "`loopboost import {in} --out"),

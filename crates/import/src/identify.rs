@@ -89,7 +89,7 @@ fn of_magic(path: &Path, head: &[u8]) -> Option<Recording> {
         let found = MAGICS.iter().find(|(magic, ..)| head.starts_with(magic));
         found.map(|&(_, format, remedy)| (format, remedy))?
     };
-    let out = decompressed(path).unwrap_or_else(|| path.with_extension("mcap"));
+    let out = decompressed(path).unwrap_or_else(|| output(path));
     let remedy = remedy.replace("{in}", &path.display().to_string());
     let remedy = remedy.replace("{out}", &out.display().to_string());
     Some(Recording { format: format.to_owned(), remedy })
@@ -115,9 +115,15 @@ fn is_rawlog(path: &Path, head: &[u8]) -> bool {
 }
 
 fn importable(format: &str, path: &Path) -> Recording {
-    let (from, to) = (path.display(), path.with_extension("mcap"));
+    let (from, to) = (path.display(), output(path));
     let remedy = format!("import it: `loopboost import {from} --out {}`", to.display());
     Recording { format: format.to_owned(), remedy }
+}
+
+/// The MCAP file for a recording: another file, even if the recording has the ending of an MCAP file.
+fn output(path: &Path) -> PathBuf {
+    let mcap = path.with_extension("mcap");
+    if mcap == path { path.with_extension("converted.mcap") } else { mcap }
 }
 
 fn name(path: &Path) -> String {

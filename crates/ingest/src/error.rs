@@ -32,7 +32,7 @@ pub enum IngestError {
     },
     /// The file defines a channel twice, with different topics or types.
     #[error(
-        "{path} defines channel {channel} twice, as {definitions}: its messages cannot be told apart; check the file with `mcap doctor`, and join recordings with `mcap merge`, which gives each channel its own id"
+        "{path} defines channel {channel} twice, as {definitions}: its messages cannot be assigned to a topic; check the file with `mcap doctor`, and join recordings with `mcap merge`, which gives each channel its own id"
     )]
     RedefinedChannel {
         /// The log.

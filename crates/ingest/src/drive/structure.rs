@@ -99,7 +99,7 @@ impl StructureCheck {
     }
 
     /// An error if a topic is in a channel with contradictory definitions, because its messages cannot
-    /// be told from those of another topic.
+    /// be distinguished from those of another topic.
     pub(crate) fn check_topics(&self, topics: &[&str]) -> Result<(), IngestError> {
         let affects = |r: &Redefined| {
             [&r.first, &r.second].iter().any(|channel| topics.contains(&channel.topic.as_str()))

@@ -186,7 +186,7 @@ fn name_format(error: IngestError) -> IngestError {
         IngestError::NotMcap { path, found, remedy } => match ::import::identify(&path) {
             Some(known) => IngestError::NotMcap {
                 path,
-                found: format!("is {}", known.format),
+                found: format!("is {} (it {found})", known.format),
                 remedy: known.remedy,
             },
             None => IngestError::NotMcap { path, found, remedy },
