@@ -26,7 +26,7 @@ pub struct Options {
     /// Largest share of the pairs of a class from one place, so that a place where the robot spent
     /// most of its time does not dominate: 0.1 is a tenth. With 1 there is no limit. If the other
     /// places have too few pairs, the share is raised as far as necessary, with a warning if one
-    /// place has more than a quarter of the positives.
+    /// place has more than half of the positives.
     pub max_place_share: f64,
     /// Width of a place for `max_place_share`, a square of ground \[m\].
     pub place_m: f64,

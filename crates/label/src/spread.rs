@@ -25,8 +25,9 @@ pub(crate) struct Spread {
 }
 
 /// A place with more than this share of the positives dominates the set, if the limit had to be
-/// raised. This value is a judgement: with a quarter, at least three other places are as common.
-const DOMINANT: f64 = 0.25;
+/// raised. A drive that closes one loop has its revisits at three or four places next to each other,
+/// with up to 0.4 of them at one place, which is normal.
+const DOMINANT: f64 = 0.5;
 
 /// Limits the share of each place. `drawn` are the pairs of the class that are drawn without a
 /// limit; if no place has too many of them, they are the result. The class must have enough
