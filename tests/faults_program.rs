@@ -228,14 +228,8 @@ fn inspect_reports_what_ingest_warns_about() {
     absurd[100][0] = 1e300;
     let mut late = path.clone();
     late.truncate(300);
-    let two_frames = || {
-        let mut both = scans("front", &path, false);
-        both.extend(scans("rear", &path, false).into_iter().step_by(3));
-        both
-    };
     let logs = [
         ("absurd", made(vec![poses("/pose", "map", &absurd), scans("l", &path, false)])),
-        ("frames", made(vec![poses("/pose", "map", &path), two_frames()])),
         ("jumping", made(vec![poses("/pose", "map", &jumping), scans("l", &path, false)])),
         ("late", made(vec![poses("/pose", "map", &late), scans("l", &path, false)])),
     ];

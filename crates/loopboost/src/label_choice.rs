@@ -26,8 +26,8 @@ pub(crate) struct LabelChoice {
     is_open: bool,
     /// Why no rules give enough pairs; `None` if the pairs are enough.
     pub(crate) refusal: Option<String>,
-    /// Remarks about the pairs.
-    pub(crate) notes: Vec<Note>,
+    /// Remarks about the pairs. `inspect` does not report them: a run with more logs draws other pairs.
+    notes: Vec<Note>,
 }
 
 impl LabelChoice {

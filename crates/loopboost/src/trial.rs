@@ -87,7 +87,6 @@ impl Trial {
                         trial.refusal = Some((Stage::Featurize, error));
                     }
                     let labels = LabelChoice::of(config.seed, &keyframes);
-                    trial.findings.notes.extend(labels.notes.iter().cloned());
                     trial.findings.losses.merge(losses);
                     trial.labels = Some(labels);
                     trial.keyframes = keyframes;
@@ -143,7 +142,7 @@ const GUESSED_TRACK_M: f64 = 0.5;
 /// Radius of the wheels of a guess \[m\]: the numbers of joints in m/s do not change with it.
 const GUESSED_RADIUS_M: f64 = 1.0;
 /// Notes that depend on the size of the wheels or the track.
-const SIZE_NOTES: [&str; 10] = [
+const SIZE_NOTES: [&str; 8] = [
     "poses_fused",
     "wheel_unit_confirmed",
     "turn_ratio",
@@ -152,8 +151,6 @@ const SIZE_NOTES: [&str; 10] = [
     "headings_used",
     "headings_contradict",
     "calibration_deviates",
-    "few_places",
-    "place_share_limited",
 ];
 
 /// The options with a guess of the track width, and with a radius of the wheels, if they are not set.
