@@ -243,7 +243,7 @@ pub enum IngestError {
         /// The option that selects a frame.
         option: &'static str,
     },
-    /// The packets come from several sensors that cannot be told apart.
+    /// The packets come from several sensors that cannot be distinguished.
     #[error(
         "{path}: topic `{topic}` has packets of two sensors in one frame ({evidence}); record each sensor on its own topic, or set a different frame_id in each driver"
     )]
