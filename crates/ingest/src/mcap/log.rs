@@ -302,8 +302,10 @@ fn scan(view: &mut View<'_>, range: Range<usize>, contents: &mut Contents) {
 fn bytes_after_end(view: &mut View<'_>, mut at: usize) -> u64 {
     while let Some(record) = record_at(view, at, view.len()) {
         at = record.body.end;
-        if record.opcode == op::FOOTER {
-            return view.len().saturating_sub(at + mcap::MAGIC.len()) as u64;
+        // A damaged opcode in the summary is not a footer: magic bytes follow a footer.
+        let end = at.saturating_add(mcap::MAGIC.len());
+        if record.opcode == op::FOOTER && view.get(at..end) == Some(mcap::MAGIC) {
+            return view.len().saturating_sub(end) as u64;
         }
     }
     0
