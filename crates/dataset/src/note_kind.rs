@@ -41,6 +41,13 @@ codes! {
         /// The pipeline has no source of poses for the log.
         Info "no_pose_source" NoPoseSource
             => "no poses: the pipeline has no `ingest.pose`; without poses, the scans cannot be labelled";
+        /// The log cannot be read with the default of an option, so the suggested pipeline sets it.
+        Warning "option_needed" OptionNeeded {
+            /// The option, with its suggested value.
+            option: String,
+            /// What the log contains.
+            reason: String,
+        } => "the suggested pipeline sets `{option}`, because {reason}; check that this is right";
         /// Two pose topics of a log disagree in extent or revisits.
         Warning "pose_topics_disagree" PoseTopicsDisagree {
             /// The other topic. The subject is the topic that the pipeline uses.

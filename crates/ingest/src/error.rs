@@ -12,7 +12,7 @@ use crate::pose::wheel_error::WheelError;
 /// Why a log cannot be ingested.
 #[derive(Debug, thiserror::Error)]
 pub enum IngestError {
-    /// The file cannot be opened or mapped.
+    /// The file cannot be opened or read.
     #[error("cannot read {path}")]
     Open {
         /// The log.

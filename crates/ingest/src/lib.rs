@@ -7,7 +7,8 @@
 //! ```
 //!
 //! A log is read piece by piece, several pieces in parallel, so the memory use does not grow with the
-//! log. Only the topics in the options are decoded. Other parts of the log are only checked. A drive that was recorded as several files is read as one log.
+//! log. Only the topics in the options are decoded, and only chunks with these topics are decompressed. A
+//! drive that was recorded as several files is read as one log.
 //!
 //! The result depends only on the bytes of the logs and the options. Pieces are decoded in parallel,
 //! but assembled in file order.
@@ -167,7 +168,6 @@ fn read<E: From<IngestError> + Send>(
         report_progress(window, &progress);
     }
     assembler.check_message_count(drive.n_messages(&topics));
-    assembler.add_losses(structure.check_unused(&drive, &windows));
     structure.check_topics(&names)?;
     assembler.add_losses(structure.losses());
     let ingested = assembler.finish(&drive.path(), &lidar, pose.as_ref(), &mut take)?;

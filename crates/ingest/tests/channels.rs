@@ -124,63 +124,6 @@ fn another_type_is_a_contradiction_and_another_topic_a_loss() {
     assert_eq!(codes(&survey.losses), [("redefined_channels", 1)]);
 }
 
-/// Damage in a chunk that the topics do not need, and a channel that only such a chunk defines again.
-#[test]
-fn chunks_without_the_topics_are_checked() {
-    let write = |topics: [&'static str; 2]| {
-        let options = common::small_chunks().compression(None);
-        let mut writer = options.create(std::io::Cursor::new(Vec::new())).unwrap();
-        for topic in topics {
-            let id = writer.add_schema("std_msgs/msg/String", "ros2msg", b"x").unwrap();
-            let id = writer.add_channel(id, topic, "cdr", &Default::default()).unwrap();
-            for k in 0..10 {
-                let header = mcap::records::MessageHeader {
-                    channel_id: id,
-                    sequence: 0,
-                    log_time: k,
-                    publish_time: k,
-                };
-                writer.write_to_known_channel(&header, &[7; 200]).unwrap();
-            }
-        }
-        writer.finish().unwrap();
-        writer.into_inner().into_inner()
-    };
-    let entries = common::planar_log();
-    let scans = common::write(&entries, common::small_chunks());
-    let healthy = Log::from_bytes(Path::new("a.mcap"), scans.clone()).unwrap();
-    // A split drive: the second file has no topic of interest.
-    let mut other = write(["/a", "/b"]);
-    let read = |other: &[u8]| {
-        let other = Log::from_bytes(Path::new("b.mcap"), other.to_owned()).unwrap();
-        let take = |_: Vec<Scan>| Ok::<_, IngestError>(());
-        ingest::ingest(&[&healthy, &other], &options("/scan", Some("/pose")), take, |_| ()).unwrap()
-    };
-    assert_eq!(codes(&read(&other).losses), []);
-    let summary = mcap::Summary::read(&other).unwrap().unwrap();
-    let index = &summary.chunk_indexes[1];
-    let end = (index.chunk_start_offset + index.chunk_length) as usize;
-    other[end - 20..end].fill(0xA5);
-    assert_eq!(codes(&read(&other).losses), [("chunk_crc_mismatch", 1)]);
-}
-
-/// `cat a.mcap b.mcap`: the second file is not read, and its bytes are counted.
-#[test]
-fn bytes_after_the_footer_are_counted() {
-    let indexed = common::write(&common::planar_log(), common::small_chunks());
-    for bytes in [file(&[definitions(), messages(1).concat()]), indexed] {
-        let joined = [bytes.clone(), bytes.clone()].concat();
-        let (ingested, survey) = read(&joined);
-        let ingested = ingested.unwrap();
-        assert_eq!(ingested.n_scans, 10);
-        for losses in [&ingested.losses, &survey.losses] {
-            let found = codes(losses);
-            assert!(found.contains(&("bytes_after_end", bytes.len() as u64)), "{found:?}");
-        }
-        assert!(!codes(&read(&bytes).1.losses).iter().any(|(code, _)| *code == "bytes_after_end"));
-    }
-}
-
 #[test]
 fn a_log_that_is_truncated_or_written_after_it_was_opened_is_an_error_with_its_name() {
     let folder = tempfile::tempdir().unwrap();

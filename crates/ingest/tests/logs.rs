@@ -76,7 +76,7 @@ fn ros_1_and_ros_2_packets_give_the_same_revolutions() {
 }
 
 #[test]
-fn damage_in_chunks_without_the_topics_is_counted() {
+fn chunks_without_the_topics_are_not_decompressed() {
     let mut entries: Vec<Entry> = vec![("/camera", "sensor_msgs/msg/Image", "cdr", vec![7; 3000])];
     entries.extend(planar_log());
     let mut bytes = write(&entries, small_chunks().compression(None));
@@ -84,7 +84,7 @@ fn damage_in_chunks_without_the_topics_is_counted() {
     let at = bytes.windows(100).position(|w| w == [7; 100]).unwrap();
     bytes[at + 50] = 8;
     let (scans, ingested) = ingest_bytes(&bytes, &options("/scan", Some("/pose"))).unwrap();
-    assert_eq!((scans.len(), codes(&ingested.losses)), (10, vec![("chunk_crc_mismatch", 1)]));
+    assert_eq!((scans.len(), ingested.losses.is_empty()), (10, true));
 }
 
 #[test]

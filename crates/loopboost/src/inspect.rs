@@ -66,6 +66,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     let (missing, refused) = (suggestion.missing(), trial.refusal());
     let mut findings = trial.findings_with(&survey);
     findings.notes.extend(suggestion.disagreements());
+    findings.notes.extend(suggestion.needed_options());
     if *as_json {
         let all = json!({
             "log": path, "survey": survey, "losses": findings.losses, "notes": findings.notes,

@@ -5,7 +5,7 @@ use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use dataset::{Note, Subject};
+use dataset::{Note, NoteKind, Subject};
 use ingest::{Content, HORIZONTAL_LASER, MessageType, Survey, TopicSurvey};
 
 use crate::disagreement::disagreement;
@@ -104,6 +104,32 @@ impl<'a> Suggestion<'a> {
             Some(_) => self.track_m.is_some(),
             None => !self.poses.is_empty(),
         }
+    }
+
+    /// The options without which `ingest` would refuse the log.
+    pub(crate) fn needed_options(&self) -> Vec<Note> {
+        let pose = self.poses.first().filter(|_| self.wheels.is_none());
+        let pose = pose.and_then(|pose| match &pose.source {
+            PoseSource::Topic(topic) => Some(("ingest.pose", *topic)),
+            PoseSource::Frames { .. } => None,
+        });
+        let sections = self.lidar.map(|lidar| ("ingest.lidar", lidar)).into_iter().chain(pose);
+        let of_section = |(section, topic): (&str, &TopicSurvey)| {
+            let note = |key: &str, value: &str, reason: String| {
+                let option = format!("{section}.{key} = {value:?}");
+                Note::new(NoteKind::OptionNeeded { option, reason }, Subject::topic(&topic.topic))
+            };
+            let stamps = topic.stamps.needs_log_times().then(|| {
+                note("stamp", "log", "all stamps in the headers are 0 or equal".to_owned())
+            });
+            let others = other_frames(topic);
+            let frames = (!others.is_empty()).then(|| {
+                let reason = format!("the topic has messages of other frames, too: {others}");
+                note("frame_id", main_frame(topic), reason)
+            });
+            stamps.into_iter().chain(frames).collect::<Vec<_>>()
+        };
+        sections.flat_map(of_section).collect()
     }
 
     /// Whether other pose topics disagree with the suggested one.
@@ -242,20 +268,24 @@ fn write_others(text: &mut String, others: &[PoseCandidate<'_>]) -> fmt::Result 
 
 /// Selects the frame of most messages, if a topic has several. The others are a comment.
 fn write_frame_id(text: &mut String, key: &str, topic: &TopicSurvey) -> fmt::Result {
+    match other_frames(topic) {
+        none if none.is_empty() => Ok(()),
+        others => writeln!(text, "{key} = {:?}   # the topic also has {others}", main_frame(topic)),
+    }
+}
+
+/// The frames of a topic that the suggested pipeline does not use, as text.
+fn other_frames(topic: &TopicSurvey) -> String {
     let mut n_messages: BTreeMap<&str, u64> = BTreeMap::new();
     for frame in &topic.frames {
         *n_messages.entry(&frame.frame_id).or_default() += frame.n_messages;
     }
     let used = main_frame(topic);
-    let others: Vec<String> = n_messages
+    let others = n_messages
         .into_iter()
         .filter(|(frame, _)| *frame != used)
-        .map(|(frame, n)| format!("`{frame}` ({n} messages)"))
-        .collect();
-    match others.is_empty() {
-        true => Ok(()),
-        false => writeln!(text, "{key} = {used:?}   # the topic also has {}", others.join(", ")),
-    }
+        .map(|(frame, n)| format!("`{frame}` ({n} messages)"));
+    others.collect::<Vec<_>>().join(", ")
 }
 
 /// Writes the options of the lidar.

@@ -112,7 +112,10 @@ impl Deskewer {
         if self.feed.is_none() {
             return if self.is_enabled { Vec::new() } else { vec![NoteKind::DeskewOff] };
         }
-        let mut notes = vec![NoteKind::Deskewed { n_scans: self.n_deskewed }];
+        let mut notes = Vec::new();
+        if let n_scans @ 1.. = self.n_deskewed {
+            notes.push(NoteKind::Deskewed { n_scans });
+        }
         if let n_scans @ 1.. = self.n_without_motion {
             notes.push(NoteKind::NotDeskewedNoMotion { n_scans });
         }

@@ -3,16 +3,13 @@
 //! The structure of a file shows them if it was scanned. If it was read from the index, they appear
 //! when the pieces are read.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use dataset::{Loss, LossKind, Losses, Subject};
-use rayon::prelude::*;
 
-use crate::drive::topic::{Drive, FilePiece};
-use crate::drive::window::Part;
+use crate::drive::topic::Drive;
 use crate::error::IngestError;
-use crate::mcap::chunk::{self, Buffer, Rest};
 use crate::mcap::definitions::{Definitions, Redefined};
 
 /// What one piece shows.
@@ -60,35 +57,6 @@ impl StructureCheck {
     pub(crate) fn add(&mut self, drive: &Drive<'_>, piece: PieceStructure) {
         self.n_read += piece.n_undefined;
         self.add_redefined(drive, piece.file, piece.redefined);
-    }
-
-    /// Reads the pieces without messages of the topics, which are not in `windows`, to check them. Damage
-    /// there does not change the result, but the log is not what was recorded.
-    pub(crate) fn check_unused(
-        &mut self,
-        drive: &Drive<'_>,
-        windows: &[(Part, Vec<FilePiece<'_>>)],
-    ) -> Losses {
-        let key = |piece: &FilePiece<'_>| (piece.file, piece.piece.range.start);
-        let used: BTreeSet<_> =
-            windows.iter().flat_map(|(_, window)| window.iter().map(key)).collect();
-        let all = drive.pieces(|_, _| true).into_iter();
-        let unused: Vec<_> = all.filter(|piece| !used.contains(&key(piece))).collect();
-        let check = |buffer: &mut Buffer, FilePiece { file, log, piece, .. }: &FilePiece<'_>| {
-            let mut n_undefined = 0;
-            let Rest { losses, definitions } =
-                chunk::messages(log.bytes(), piece, buffer, |header, _| {
-                    n_undefined += u64::from(!drive.defines(*file, header.channel_id));
-                });
-            (losses, PieceStructure::new(drive, *file, n_undefined, definitions))
-        };
-        let found: Vec<_> = unused.par_iter().map_init(Buffer::default, check).collect();
-        let mut losses = Losses::default();
-        for (of_piece, structure) in found {
-            losses.merge(of_piece);
-            self.add(drive, structure);
-        }
-        losses
     }
 
     fn add_redefined(&mut self, drive: &Drive<'_>, file: usize, redefined: Vec<Redefined>) {

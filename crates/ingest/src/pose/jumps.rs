@@ -24,6 +24,11 @@ const OWN_SPEED_FACTOR: f64 = 2.0;
 /// factor.
 const FAST_FACTOR: f64 = 1.5;
 
+/// A change of the height is a jump only if it is larger than 95 % of the changes between two poses by
+/// this factor. The height of a satellite receiver is noisy: with normal errors, 95 % of the changes are
+/// within 2.8 standard deviations, and a change of four times that does not occur by chance.
+const HEIGHT_NOISE_FACTOR: f64 = 4.0;
+
 /// Speeds are measured over at least this time \[ns\], because the time between two stamps can be
 /// much shorter than the time between the measurements.
 const WINDOW_NS: i64 = 1_000_000_000;
@@ -75,6 +80,9 @@ pub(crate) struct OwnSpeed {
     pub(crate) speed_m_s: f64,
     /// 95 % of the vertical motion is slower \[m/s\].
     climb_m_s: f64,
+    /// 95 % of the changes of the height from one pose to the next are smaller, without the largest,
+    /// which may be jumps \[m\].
+    height_step_m: f64,
     /// Mean time between two poses, without pauses \[s\].
     pub(crate) period_s: f64,
     /// `ingest.pose.max_speed_m_s`.
@@ -88,7 +96,9 @@ impl OwnSpeed {
         max_speed_m_s: f64,
     ) -> Self {
         let (mut speeds, mut climbs, mut periods) = (Vec::new(), Vec::new(), Vec::new());
+        let mut height_steps = Vec::new();
         for poses in runs {
+            height_steps.extend(poses.windows(2).map(|pair| climb_m(&pair[0], &pair[1]).abs()));
             periods.extend(poses.windows(2).map(|pair| secs(&pair[0], &pair[1])));
             let mut end = 0;
             for start in poses {
@@ -111,7 +121,13 @@ impl OwnSpeed {
         // Every window that contains a jump is fast.
         let n_per_jump = (WINDOW_NS as f64 * 1e-9 / period_s.max(1e-3)).ceil() as usize;
         let speed = |of: Vec<f64>| quantile(of, 0.95, N_JUMPS_LEFT_OUT * n_per_jump);
-        Self { speed_m_s: speed(speeds), climb_m_s: speed(climbs), period_s, max_speed_m_s }
+        Self {
+            speed_m_s: speed(speeds),
+            climb_m_s: speed(climbs),
+            height_step_m: quantile(height_steps, 0.95, N_JUMPS_LEFT_OUT),
+            period_s,
+            max_speed_m_s,
+        }
     }
 
     /// The jumps in a run of poses in order of time: the index of the pose after each jump, and what
@@ -155,7 +171,9 @@ impl OwnSpeed {
         let is_beyond = |moved_m: f64, own_m_s: f64| self.limit_m(own_m_s, s) < moved_m;
         let is_restart = self.is_restart(a, b);
         let jumps = is_beyond(a.pose.distance_m(&b.pose), self.speed_m_s) || is_restart;
-        let climbs = is_beyond(climb_m(a, b).abs(), self.climb_m_s);
+        let climbed_m = climb_m(a, b).abs();
+        let climbs = is_beyond(climbed_m, self.climb_m_s)
+            && HEIGHT_NOISE_FACTOR * self.height_step_m < climbed_m;
         if !jumps && !climbs {
             return None;
         }
@@ -271,6 +289,25 @@ mod tests {
         assert!(!shifted(30.0, 0.1, 0.0));
         // A robot that stands still.
         assert!(shifted(0.0, 0.1, 3.0) && !shifted(0.0, 0.1, 0.9));
+    }
+
+    /// The height of a satellite receiver, with errors of 0.3 m from pose to pose: their sum of 12
+    /// uniform samples is nearly normal. A floor of 4 m is still a jump; without noise, 1.1 m is.
+    #[test]
+    fn noise_of_the_height_is_no_jump() {
+        let mut random = dataset::SplitMix64::new(1);
+        let mut height_jumps = |noise_m: f64, floor_m: f64| {
+            let mut height_m = |k: i32| {
+                let error = (0..12).map(|_| random.unit()).sum::<f64>() - 6.0;
+                noise_m * error + if k < 1000 { 0.0 } else { floor_m }
+            };
+            let poses =
+                poses((0..2000).map(|k| (0.1 * f64::from(k), 0.1 * f64::from(k), height_m(k))));
+            OwnSpeed::of([&poses[..]].into_iter(), 15.0).jumps(&poses)
+        };
+        assert_eq!(height_jumps(0.3, 0.0), []);
+        assert_eq!(height_jumps(0.3, 5.0), [(1000, Jump::Height)]);
+        assert_eq!(height_jumps(0.0, 1.2), [(1000, Jump::Height)]);
     }
 
     /// 300 s at 0.3 m/s, then 12 s at 6 m/s with poses at 1 Hz: fast steps follow each other.
