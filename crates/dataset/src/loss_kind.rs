@@ -25,7 +25,7 @@ codes! {
             => "byte range{s} between chunks without records";
         /// Another file follows the footer.
         Warning "bytes_after_end" BytesAfterEnd
-            => "byte{s} after the footer of the file are not read (files joined byte by byte? join them with `mcap merge`)";
+            => "byte{s} after the footer of the file, not read (if files were joined byte by byte, join them with `mcap merge` instead)";
         /// A record has an opcode that the format does not define.
         Warning "unknown_records" UnknownRecords
             => "record{s} of a kind that the MCAP format does not define";
@@ -129,10 +129,10 @@ codes! {
         } => "message{s} with a speed, turn rate, acceleration or wheel position of more than {max}";
         /// A pose jumps away from the poses before and after it.
         Warning "pose_outliers" PoseOutliers
-            => "outlier{s} among the poses, far away from the poses before and after";
+            => "outlier{s} among the poses, far away from the poses before and after; not used";
         /// Poses at times that occur twice.
         Warning "poses_at_repeated_times" PosesAtRepeatedTimes
-            => "pose{s} at times that occur twice, because the clock was set back";
+            => "pose{s} at times that occur twice, because the clock was set back; not used";
         /// A transform has no rotation.
         Warning "transform_without_rotation" TransformWithoutRotation {
             /// The first quaternion, x, y, z, w.
@@ -165,7 +165,7 @@ codes! {
         } => "message{s} with {n_left} wheels on the left and {n_right} on the right, expected the same number; name them in `ingest.pose.wheels` (joints: {joints})";
         /// A step of a wheel position that no wheel can make.
         Warning "wheel_position_jumps" WheelPositionJumps
-            => "step{s} between two wheel positions that the wheels cannot make, or that are not known after a pause (the counter was reset or wrapped)";
+            => "step{s} of the wheel positions left out: no wheel turns that fast, or the size of a step after a pause is not known (the counter was reset or wrapped)";
 
         // Velodyne packets.
 
@@ -173,7 +173,7 @@ codes! {
         Warning "packets_in_two_files" PacketsInTwoFiles
             => "packet{s} contained in two files of the drive";
         /// A packet without a stamp.
-        Warning "unstamped_packets" UnstampedPackets => "packet{s} without a stamp (0)";
+        Warning "unstamped_packets" UnstampedPackets => "packet{s} with the stamp 0 (set `ingest.lidar.stamp` to \"log\" to use log times, or `ingest.lidar.clock` to \"device\")";
         /// A packet appears twice.
         Warning "duplicate_packets" DuplicatePackets => "duplicate packet{s}";
         /// A packet arrives after its revolution was finished.

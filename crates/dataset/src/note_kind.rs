@@ -22,7 +22,7 @@ codes! {
         Warning "no_schema" NoSchema {
             /// The type whose decoder accepts the messages.
             read_as: String,
-        } => "the topic has no schema; its messages decode as {read_as} and were read as that";
+        } => "the topic has no schema; its messages were read as {read_as}, the only type that decodes them";
         /// A drive was read from several files.
         Info "split_drive" SplitDrive {
             /// The files, in order of time.
@@ -66,7 +66,7 @@ codes! {
             other_n_apart: u64,
             /// A revisit by one topic is contradicted if it is farther apart by the other \[m\].
             apart_m: f64,
-        } => "the poses of topic `{other}` disagree: their path extends {other_extent_m:.1} m around its centre instead of {extent_m:.1} m; {n_apart} of {n_revisits} revisits are more than {apart_m} m apart by `{other}`, and {other_n_apart} of its {other_n_revisits} revisits are more than {apart_m} m apart here; labels are only right with poses that do not drift: check which topic is right";
+        } => "topic `{other}` disagrees with these poses: its path has an extent of {other_extent_m:.1} m, and this path has an extent of {extent_m:.1} m (root mean square distance from the centre); {n_apart} of {n_revisits} revisits are more than {apart_m} m apart by `{other}`, and {other_n_apart} of {other_n_revisits} revisits by `{other}` are more than {apart_m} m apart here; labels are only right if the poses do not drift: check which topic is right";
         /// Logs of one site have poses in a frame of odometry, which starts anew in each log.
         Warning "site_in_odometry_frame" SiteInOdometryFrame {
             /// The site.
@@ -75,7 +75,7 @@ codes! {
             frame: String,
             /// The logs with poses in that frame.
             logs: Vec<String>,
-        } => "site `{site}`: the poses of {} are in frame `{frame}`, which starts anew in each log and drifts; pairs of two logs may have wrong labels: use poses in a map frame that the logs share, or remove `site`", of_logs(logs);
+        } => "site `{site}`: the poses of {} are in frame `{frame}`, which starts at a new origin in each log and drifts; pairs of two logs may have wrong labels: use poses in a map frame that the logs share, or remove `site`", of_logs(logs);
         /// All logs of a site start at the origin.
         Warning "site_starts_at_origin" SiteStartsAtOrigin {
             /// The site.
@@ -103,11 +103,11 @@ codes! {
             with_log: bool,
             /// The option that selects log times.
             option: String,
-        } => "the stamps step back by up to {largest_s:.2} s, {}, first at the log time {log_ns} ns, so that two moments have one stamp; {}",
-            match n_steps { 1 => "once".to_owned(), n => format!("{n} times") },
+        } => "the stamps step back by up to {largest_s:.2} s, {}, first at the log time {log_ns} ns: scans and poses of different times have the same stamps there; {}",
+            times(*n_steps),
             match with_log {
                 true => "the log times step back, too: split the log there".to_owned(),
-                false => format!("the log times do not: set `{option} = \"log\"` to use them, or split the log there"),
+                false => format!("the log times do not step back: set `{option} = \"log\"` to use them, or split the log there"),
             };
         /// The stamps step against the log times.
         Warning "stamps_step_against_log" StampsStepAgainstLog {
@@ -120,7 +120,7 @@ codes! {
             /// The option that selects log times.
             option: String,
         } => "the stamps step by up to {largest_s:+.2} s against the log times, {}, first at the log time {log_ns} ns; a clock was set there: set `{option} = \"log\"` to use log times, or split the log there",
-            match n_steps { 1 => "once".to_owned(), n => format!("{n} times") };
+            times(*n_steps);
         /// Two topics are stamped by different clocks.
         Warning "stamp_offsets_differ" StampOffsetsDiffer {
             /// The other topic.
@@ -129,7 +129,7 @@ codes! {
             delay_s: f64,
             /// Log time minus stamp of the other topic \[s\].
             other_delay_s: f64,
-        } => "the log times are {delay_s:+.3} s from the stamps, but {other_delay_s:+.3} s on topic `{other}`: the two topics are stamped by clocks that differ by about {:.3} s, and scans are placed at poses of another time; synchronise the clocks, or set `ingest.lidar.stamp` and `ingest.pose.stamp` to \"log\"", (delay_s - other_delay_s).abs();
+        } => "log time minus stamp is {delay_s:+.3} s, but {other_delay_s:+.3} s on topic `{other}`: the clocks that stamp the two topics differ by about {:.3} s, and scans are placed at poses of another time; synchronise the clocks, or set `ingest.lidar.stamp` and `ingest.pose.stamp` to \"log\"", (delay_s - other_delay_s).abs();
         /// Successive messages have equal stamps.
         Warning "equal_stamps" EqualStamps {
             /// Messages with the stamp of the message before.
@@ -143,7 +143,7 @@ codes! {
         Info "messages_out_of_order" MessagesOutOfOrder {
             /// Messages.
             n_messages: u64,
-        } => "{n_messages} messages are stamped earlier than a message before them";
+        } => "{} stamped earlier than a message before", count(*n_messages, "message");
 
         // Labels.
 
@@ -188,7 +188,7 @@ codes! {
             x_m: f64,
             /// Its centre \[m\].
             y_m: f64,
-        } => "{n_largest} of {n_pairs} {class} pairs are from one place {place_m} m wide, at ({x_m}, {y_m}) m of site `{site}`; expected at most {n_limit} (`label.max_place_share`), but the {n_places} places with {class} pairs have too few: add logs with {class} pairs at other places{}",
+        } => "{n_largest} of {n_pairs} {class} pairs are from one place {place_m} m wide, at ({x_m}, {y_m}) m of site `{site}`; expected at most {n_limit} (`label.max_place_share`), but the {n_places} places with {class} pairs do not have enough of them: add logs with {class} pairs at other places{}",
             match n_enough {
                 0 => String::new(),
                 n => format!(", or set `label.pairs_per_class` to {n}"),
@@ -199,7 +199,7 @@ codes! {
             n_pairs: u64,
             /// The limit \[m\].
             max_height_difference_m: f64,
-        } => "{n_pairs} pairs close to each other in the plane are more than {max_height_difference_m} m apart in height, as on two floors: not used as positives";
+        } => "{} close to each other in the plane, but more than {max_height_difference_m} m apart in height, as on two floors: not used as positives", count(*n_pairs, "pair");
         /// Pairs were left out because of their heights, which drift or noise may explain.
         Warning "heights_in_doubt" HeightsInDoubt {
             /// Pairs.
@@ -212,13 +212,13 @@ codes! {
             n_revisits_left_out: u64,
             /// Positives with more than half of the allowed difference.
             n_near_limit: u64,
-        } => "{n_pairs} pairs close to each other in the plane are more than {max_height_difference_m} m apart in height and not used as positives, among them {n_revisits_left_out} of {} revisits; {n_near_limit} of the positives differ by more than half of this; if the robot drove on one floor only, its heights drift: raise `label.max_height_difference_m`",
-            n_revisits + n_revisits_left_out;
+        } => "{} close to each other in the plane, but more than {max_height_difference_m} m apart in height: not used as positives; this leaves out {n_revisits_left_out} of {} revisits; {n_near_limit} of the positives differ by more than half of this height; if the robot drove on one floor only, its heights drift: raise `label.max_height_difference_m`",
+            count(*n_pairs, "pair"), n_revisits + n_revisits_left_out;
         /// Pairs were left out because a log has several coordinate frames.
         Info "pairs_between_frames" PairsBetweenFrames {
             /// Pairs.
             n_pairs: u64,
-        } => "{n_pairs} pairs not used: the poses of at least one log are in several coordinate frames, and the position of one frame in another is not known";
+        } => "{} not used: the poses of at least one log are in several coordinate frames, and the position of one frame in another is not known", count(*n_pairs, "pair");
         /// Two logs have the same scans at the same poses.
         Warning "same_scans_in_two_logs" SameScansInTwoLogs {
             /// The other log.
@@ -249,7 +249,7 @@ codes! {
             groups: String,
             /// Pairs between the two groups.
             n_pairs: u64,
-        } => "grouping `{grouping}` not evaluated: {n_pairs} pairs are between the 2 {groups} and hold out both, which leaves no pairs to train on; add a third, or remove `{grouping}` from `evaluate.groupings`";
+        } => "grouping `{grouping}` not evaluated: to test the pairs between the 2 {groups} ({n_pairs}), both must be held out, which leaves no pairs to train on; add a third, or remove `{grouping}` from `evaluate.groupings`";
         /// A class has fewer pairs than there are folds.
         Warning "too_few_pairs_for_folds" TooFewPairsForFolds {
             /// The grouping, by name.
@@ -274,7 +274,7 @@ codes! {
         Warning "grouping_not_trainable" GroupingNotTrainable {
             /// The grouping, by name.
             grouping: String,
-        } => "grouping `{grouping}` not evaluated: a learner cannot be fitted to the remaining pairs";
+        } => "grouping `{grouping}` not evaluated: a learner cannot be fitted to the remaining pairs; add logs, or remove `{grouping}` from `evaluate.groupings`";
 
         /// Retrieval has few matches because not all scans are queries.
         Warning "few_matches_scored" FewMatchesScored {
@@ -295,7 +295,7 @@ codes! {
         Info "partial_revolutions" PartialRevolutions {
             /// Revolutions.
             n_revolutions: u64,
-        } => "{n_revolutions} partial revolutions at the start and end";
+        } => "{} at the start and end", count(*n_revolutions, "partial revolution");
         /// Packets are missing.
         Info "missing_packets" MissingPackets {
             /// Packets.
@@ -304,24 +304,25 @@ codes! {
             n_scans: u64,
             /// That angle \[deg\].
             min_hole_deg: f64,
-        } => "{n_packets} packets missing{}", match n_scans {
+        } => "{} missing{}", count(*n_packets, "packet"), match n_scans {
             0 => String::new(),
             n => format!(
-                "; {n} scans have an angle of more than {min_hole_deg} deg without packets (column `hole_deg`)"
+                "; {} with an angle of more than {min_hole_deg} deg without packets (column `hole_deg`)",
+                count(*n, "scan")
             ),
         };
         /// The device clock jumps and the stamps do not.
         Info "device_clock_jumps" DeviceClockJumps {
             /// Jumps.
             n_jumps: u64,
-        } => "the device clock jumps {n_jumps} times while the stamps do not; nothing is lost";
+        } => "the device clock jumps {} while the stamps do not; nothing is lost", times(*n_jumps);
         /// The stamps step against the device clock.
         Warning "stamp_steps" StampSteps {
             /// Steps.
             n_steps: u64,
             /// The largest \[s\].
             largest_s: f64,
-        } => "the stamps step {n_steps} times against the device clock, by up to {largest_s:.2} s; scans and poses may be offset by that much there";
+        } => "the stamps step {} against the device clock, by up to {largest_s:.2} s; scans and poses may be offset by that much there", times(*n_steps);
         /// All packets of a message have the same stamp.
         Warning "one_stamp_per_message" OneStampPerMessage
             => "the packets of a message share one stamp; scans may be late by up to one message: set `ingest.lidar.clock` to \"device\"";
@@ -329,7 +330,7 @@ codes! {
         Info "packets_reordered" PacketsReordered {
             /// Packets.
             n_packets: u64,
-        } => "{n_packets} late packets put back in order";
+        } => "{} put back in order", count(*n_packets, "late packet");
         /// Lasers without a single return.
         Info "silent_lasers" SilentLasers {
             /// Lasers with returns.
@@ -346,12 +347,12 @@ codes! {
         Info "clouds_sorted" CloudsSorted {
             /// Clouds.
             n_clouds: u64,
-        } => "{n_clouds} clouds without firing order sorted by azimuth";
+        } => "{} not in firing order, sorted by azimuth", count(*n_clouds, "cloud");
         /// The point times of a cloud are far from its stamp.
         Warning "cloud_times_ignored" CloudTimesIgnored {
             /// Clouds.
             n_clouds: u64,
-        } => "{n_clouds} clouds have point times more than 1 s from their stamp; the stamp was used";
+        } => "{} with point times more than 1 s from the stamp of the cloud; the stamp was used", count(*n_clouds, "cloud");
         /// The point times of a cloud have an unusual unit or reference.
         Info "point_time_unit" PointTimeUnit {
             /// The field.
@@ -360,7 +361,7 @@ codes! {
             unit: String,
             /// What the times count from.
             from: String,
-        } => "the point times in the field `{field}` are {unit} from {from}, by the length of a revolution";
+        } => "the point times in the field `{field}` are taken as {unit} since {from}, because this fits the length of a revolution";
         /// The point times of a cloud fit no unit.
         Warning "point_times_implausible" PointTimesImplausible {
             /// The field.
@@ -381,36 +382,36 @@ codes! {
         Info "range_max_unset" RangeMaxUnset {
             /// Scans.
             n_scans: u64,
-        } => "{n_scans} scans have a range_max that is not more than 0, which was taken as not set";
+        } => "{} with a range_max of 0 or less, which was taken as not set", count(*n_scans, "scan");
         /// The time between the beams of scans is impossible.
         Warning "time_increment_ignored" TimeIncrementIgnored {
             /// Scans.
             n_scans: u64,
             /// The first of them.
             example: String,
-        } => "{n_scans} scans have an impossible time between beams, and are not deskewed: {example}";
+        } => "{} not deskewed, because the time between beams is impossible: {example}", count(*n_scans, "scan");
         /// By the times of its beams, a scan takes longer than the time to the next scan.
         Warning "scan_longer_than_period" ScanLongerThanPeriod {
             /// From the first beam to the last \[s\].
             duration_s: f64,
             /// Mean time between scans \[s\].
             period_s: f64,
-        } => "by time_increment, a scan takes {duration_s:.4} s, but a scan is recorded every {period_s:.4} s; do not trust the deskewed scans, or set `ingest.lidar.deskew = false`";
+        } => "by its time_increment, a scan takes {duration_s:.4} s, but a scan is recorded every {period_s:.4} s; the deskewed scans are probably wrong: correct the driver, or set `ingest.lidar.deskew = false`";
         /// What was deskewed.
         Info "deskewed" Deskewed {
             /// Scans deskewed.
             n_scans: u64,
-        } => "{n_scans} scans deskewed";
+        } => "{} deskewed", count(*n_scans, "scan");
         /// Scans that could not be deskewed because the motion is not known.
         Info "not_deskewed_no_motion" NotDeskewedNoMotion {
             /// Scans.
             n_scans: u64,
-        } => "{n_scans} scans not deskewed: the motion is not known at least every 0.25 s, or it jumps";
+        } => "{} not deskewed: the motion is not known at least every 0.25 s, or it jumps", count(*n_scans, "scan");
         /// Scans that could not be deskewed because their messages have no times of returns.
         Info "not_deskewed_no_times" NotDeskewedNoTimes {
             /// Scans.
             n_scans: u64,
-        } => "{n_scans} scans not deskewed: no per-return times";
+        } => "{} not deskewed: the messages have no times of returns", count(*n_scans, "scan");
         /// Deskewing is switched off.
         Info "deskew_off" DeskewOff => "scans not deskewed (`ingest.lidar.deskew = false`)";
 
@@ -420,7 +421,7 @@ codes! {
         Info "poses_reordered" PosesReordered {
             /// Poses.
             n_poses: u64,
-        } => "{n_poses} poses earlier than the pose before; sorted by stamp";
+        } => "{} earlier than the pose before; sorted by stamp", count(*n_poses, "pose");
         /// Two parents place the same frame.
         Warning "two_parent_frames" TwoParentFrames {
             /// The frame.
@@ -455,8 +456,8 @@ codes! {
             stamp_ns: i64,
             /// Whether the poses before and after a jump are in the same frame.
             same_frame: bool,
-        } => "the poses jump {n_jumps} time{}: the robot drives {own_speed_m_s:.1} m/s, and the largest jump is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns; nothing is interpolated across a jump{}",
-            if *n_jumps == 1 { "" } else { "s" },
+        } => "the poses jump {}: the robot drives {own_speed_m_s:.1} m/s, and the largest jump is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns; nothing is interpolated across a jump{}",
+            times(*n_jumps),
             after_jumps(*same_frame);
         /// Heights jump.
         Warning "height_jumps" HeightJumps {
@@ -470,8 +471,8 @@ codes! {
             stamp_ns: i64,
             /// Whether the poses before and after a jump are in the same frame.
             same_frame: bool,
-        } => "the height of the poses jumps {n_jumps} time{}; the largest jump is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns; nothing is interpolated across a jump{}",
-            if *n_jumps == 1 { "" } else { "s" },
+        } => "the height of the poses jumps {}; the largest jump is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns; nothing is interpolated across a jump{}",
+            times(*n_jumps),
             after_jumps(*same_frame);
         /// Poses are faster than the robot.
         Warning "poses_too_fast" PosesTooFast {
@@ -485,8 +486,8 @@ codes! {
             largest_s: f64,
             /// When it began \[ns since the epoch\].
             stamp_ns: i64,
-        } => "{n_steps} step{} between poses are faster than {max_speed_m_s} m/s; the longest is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns; the poses are used: if the robot drives that fast, raise `ingest.pose.max_speed_m_s`, otherwise check the stamps of the poses",
-            if *n_steps == 1 { "" } else { "s" };
+        } => "{} between poses with more than {max_speed_m_s} m/s; the longest is {largest_m:.2} m in {largest_s:.3} s at {stamp_ns} ns; the poses are used: if the robot drives that fast, raise `ingest.pose.max_speed_m_s`, otherwise check the stamps of the poses",
+            count(*n_steps, "step");
         /// The clock of the poses steps back.
         Warning "pose_clock_steps_back" PoseClockStepsBack {
             /// Steps.
@@ -495,8 +496,8 @@ codes! {
             largest_s: f64,
             /// The first stamp after the first step \[ns since the epoch\].
             stamp_ns: i64,
-        } => "the stamps of the poses step back {n_steps} time{}, by up to {largest_s:.2} s, first to {stamp_ns} ns: the clock was set back; the trajectory is cut there, and times that occur twice are left out",
-            if *n_steps == 1 { "" } else { "s" };
+        } => "the stamps of the poses step back {}, by up to {largest_s:.2} s, first to {stamp_ns} ns: the clock was set back; the trajectory is cut there, and times that occur twice are left out",
+            times(*n_steps);
         /// The frame of the poses changes.
         Warning "pose_frame_changes" PoseFrameChanges {
             /// The frames with the numbers of their messages.
@@ -508,7 +509,7 @@ codes! {
             n_other: u64,
             /// All frames with the numbers of their messages.
             frames: String,
-        } => "{n_other} messages in other frames than `ingest.pose.frame_id` not used: {frames}";
+        } => "{} not used, because the frame is not `ingest.pose.frame_id`: the topic has {frames}", count(*n_other, "message");
         /// Poses come from wheels and an IMU.
         Info "poses_fused" PosesFused {
             /// Wheel samples used.
@@ -544,12 +545,12 @@ codes! {
         Info "wheel_unit_confirmed" WheelUnitConfirmed {
             /// Turns of the gyroscope over turns of the wheels.
             ratio: f64,
-        } => "the wheel velocities are taken as m/s: the gyroscope turns {ratio:.2} times as much as the wheels then; state it with `ingest.pose.wheel_speed_unit = \"m/s\"`";
+        } => "the wheel velocities are taken as m/s, because the gyroscope then turns {ratio:.2} times as much as the wheels; set `ingest.pose.wheel_speed_unit = \"m/s\"` to state the unit";
         /// Wrapped wheel positions were unwrapped.
         Info "wheel_positions_unwrapped" WheelPositionsUnwrapped {
             /// How many times.
             n_turns: u64,
-        } => "the wheel positions are wrapped to one turn; unwrapped {n_turns} times by 2 pi";
+        } => "the wheel positions are wrapped to one turn; unwrapped {} by 2 pi", times(*n_turns);
         /// The velocities of the wheels are zero, but the positions change.
         Info "zero_wheel_velocities" ZeroWheelVelocities {
             /// Messages.
@@ -573,7 +574,7 @@ codes! {
             parent: String,
             /// The child frame.
             child: String,
-        } => "the twist is in frame `{parent}` and not in its child frame `{child}`, as its poses show: rotated by the heading of each pose";
+        } => "the poses show that the twist is in frame `{parent}` and not in the child frame `{child}`: it was rotated by the heading of each pose";
         /// The twist of odometry does not explain its poses.
         Warning "twist_contradicts_poses" TwistContradictsPoses {
             /// Share of the motion that it does not explain, 0 to 1 and more.
@@ -647,7 +648,7 @@ codes! {
             alone_s: f64,
             /// Time of the wheels \[s\].
             duration_s: f64,
-        } => "the IMU has no samples in {alone_s:.1} s of the {duration_s:.1} s of the wheels, at the start or the end: the wheels were used alone there";
+        } => "at the start or the end, the IMU has no samples for {alone_s:.1} s of the {duration_s:.1} s of the wheels: the wheels were used alone there";
         /// Many IMU samples are outside of the time of the wheels.
         Warning "imu_outside_wheels" ImuOutsideWheels {
             /// Samples outside.
@@ -668,7 +669,7 @@ codes! {
             n_headings: u64,
             /// Of these, outliers.
             n_outliers: u64,
-        } => "{n_headings} headings used, {n_outliers} of them outliers";
+        } => "{} used, {n_outliers} of them outliers", count(*n_headings, "heading");
         /// Wheels and gyroscope disagree for some time.
         Info "wheel_slip" WheelSlip {
             /// Time \[s\].
@@ -682,7 +683,7 @@ codes! {
             n_gaps: u64,
             /// Their total time \[s\].
             secs: f64,
-        } => "{n_gaps} gaps between {sensor} samples, {secs:.1} s in total";
+        } => "{} between {sensor} samples, {secs:.1} s in total", count(*n_gaps, "gap");
 
         // Import.
 
@@ -694,7 +695,7 @@ codes! {
             n_lines: u64,
             /// What is wrong with the times.
             fault: String,
-        } => "the times of the {n_lines} {item} lines cannot be used ({fault}); the messages are stamped by their line, 0.2 s from scan to scan, and each scan has the pose on its own line. Poses are right; times, speeds and rates are not";
+        } => "the times of the {n_lines} {item} lines cannot be used ({fault}); the messages are stamped by their line, 0.2 s from scan to scan, and each scan has the pose on its own line; poses are right, but times, speeds and rates are not";
         /// The poses of scans are not those of the odometry.
         Info "corrected_scan_poses" CorrectedScanPoses {
             /// Scans with another pose than the odometry.
@@ -722,6 +723,19 @@ impl NoteKind {
             | Self::GroupingNotTrainable { grouping } => Some(grouping),
             _ => None,
         }
+    }
+}
+
+/// A number of things: `1 scan`, `2 scans`.
+fn count(n: u64, thing: &str) -> String {
+    format!("{n} {thing}{}", if n == 1 { "" } else { "s" })
+}
+
+/// How often something happens: `once`, `2 times`.
+fn times(n: u64) -> String {
+    match n {
+        1 => "once".to_owned(),
+        n => format!("{n} times"),
     }
 }
 

@@ -229,7 +229,7 @@ pub enum IngestError {
     },
     /// No message has the selected frame.
     #[error(
-        "{path}: topic `{topic}` has no message of the frame `{requested}` (`{option}`); its frames are {frames}"
+        "{path}: topic `{topic}` has no message of the frame `{requested}`, it has {frames}; set `{option}` to one of these frames"
     )]
     FrameNotOnTopic {
         /// The log.

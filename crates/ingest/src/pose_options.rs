@@ -48,7 +48,7 @@ pub struct PoseOptions {
     /// the poses before, or `same_frame`, in the same map, for example after a correction of a
     /// localizer. Satellite fixes are always in the same frame.
     pub jumps: Jumps,
-    /// Topic with wheel speeds: `JointState`, or `Odometry`, of which the twist is used. The driven wheels
+    /// Topic with wheel speeds: `JointState`, or the twist of `Odometry`. The driven wheels of a `JointState`
     /// are found by the names of the joints, which contain `wheel` and a side, or are named:
     /// `wheels = { topic = "/joint_states", left = ["..."], right = ["..."] }`.
     #[serde(skip_serializing_if = "Option::is_none")]

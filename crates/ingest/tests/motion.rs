@@ -261,11 +261,11 @@ fn planar_scans_with_return_times_are_deskewed() {
         .collect();
     let mut limited = options("/scan", Some("/pose"));
     let (_, ingested) = ingest(&fast, &limited);
-    assert!(has_note(&ingested, "1 scans deskewed"));
+    assert!(has_note(&ingested, "1 scan deskewed"));
     limited.pose.as_mut().unwrap().max_speed_m_s = 5.0;
     let (_, ingested) = ingest(&fast, &limited);
     let note =
-        "3 steps between poses are faster than 5 m/s; the longest is 1.00 m in 0.100 s at 0 ns";
+        "3 steps between poses with more than 5 m/s; the longest is 1.00 m in 0.100 s at 0 ns";
     assert!(has_note(&ingested, note), "{:?}", ingested.notes);
     assert!(!has_note(&ingested, "scans deskewed"), "{:?}", ingested.notes);
 }

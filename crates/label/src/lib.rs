@@ -105,7 +105,7 @@ pub enum LabelError {
     },
     /// There are two groups, and pairs between them.
     #[error(
-        "grouping `{grouping}` cannot be evaluated with 2 {groups}: {n_between} pairs are between the two and hold out both, which leaves no pairs to train on; add a third, or leave `{grouping}` out of `evaluate.groupings`"
+        "grouping `{grouping}` cannot be evaluated with 2 {groups}: to test the pairs between the two ({n_between}), both must be held out, which leaves no pairs to train on; add a third, or leave `{grouping}` out of `evaluate.groupings`"
     )]
     TwoGroups {
         /// The grouping.

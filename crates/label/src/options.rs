@@ -23,8 +23,8 @@ pub struct Options {
     pub max_height_difference_m: f64,
     /// Number of pairs to draw from each class. The paper uses 1218.
     pub pairs_per_class: usize,
-    /// Largest share of the pairs of a class from one place, so that a place where the robot spent
-    /// most of its time does not dominate: 0.1 is a tenth. With 1 there is no limit. If the other
+    /// Largest share of the pairs of a class from one place: 0.1 is a tenth, and 1 is no limit. The
+    /// limit prevents a place where the robot spent most of its time from dominating. If the other
     /// places have too few pairs, the share is raised as far as necessary, with a warning if one
     /// place has more than half of the positives.
     pub max_place_share: f64,

@@ -300,7 +300,10 @@ fn two_logs_with_pairs_between_them_cannot_be_held_out() {
     let expected = LabelError::TwoGroups { grouping: "log", groups: "logs", n_between: 1 };
     assert_eq!(error, expected);
     let text = error.to_string();
-    assert!(text.contains("1 pairs are between the two and hold out both"), "{text}");
+    assert!(
+        text.contains("to test the pairs between the two (1), both must be held out"),
+        "{text}"
+    );
     assert!(text.contains("add a third"), "{text}");
     assert_eq!(folds(&options, &keyframes, &ends[..2]).n_folds, 2);
     keyframes.push(at("c", 0, 0.0, 0.0));

@@ -78,11 +78,13 @@ impl<'a> Suggestion<'a> {
         }
         if let (Some((wheels, _)), None) = (self.wheels, self.track_m) {
             let radius = match wheels.content {
-                Content::Joints(_) => ", and their radius (`ingest.pose.wheel_radius_m`)",
+                Content::Joints(_) => {
+                    "; set the radius of the wheels in `ingest.pose.wheel_radius_m`"
+                }
                 _ => "",
             };
             missing.push(format!(
-                "the track width of the wheels of topic `{}`, which could give poses; measure it and pass it with --track-m{radius}",
+                "the track width of the wheels of topic `{}`: measure it and pass it with --track-m, to get poses from the wheels{radius}",
                 wheels.topic
             ));
         } else if self.poses.is_empty() && self.wheels.is_none() {
@@ -92,7 +94,7 @@ impl<'a> Suggestion<'a> {
                 [one, ..] => format!("; the poses of topic `{}` never change", one.topic),
             };
             missing.push(format!(
-                "a pose topic with movement (one of {names}){still}; without poses, scans can be ingested but not labelled"
+                "a topic with poses that move (one of {names}){still}; without poses, scans can be ingested but not labelled"
             ));
         }
         missing

@@ -151,7 +151,7 @@ impl Preview {
             (Sensor::Odometry, Some(_)) if self.has_poses_of_scans() => {
                 return Some(LossKind::LinesWithoutTime {
                     item: keyword("ODOM"),
-                    fault: "the log is stamped by its lines".to_owned(),
+                    fault: "all messages are stamped by their line".to_owned(),
                 });
             }
             (_, Some(_)) => return None,

@@ -49,7 +49,9 @@ impl FrameCounts {
 
     /// The frames with their numbers of messages, for a sentence.
     pub(crate) fn describe(&self) -> String {
-        let each = self.counts.iter().map(|(frame, n)| format!("`{frame}` ({n} messages)"));
+        let plural = |n: u64| if n == 1 { "" } else { "s" };
+        let each = self.counts.iter();
+        let each = each.map(|(frame, n)| format!("`{frame}` ({n} message{})", plural(*n)));
         each.collect::<Vec<_>>().join(", ")
     }
 }
@@ -71,7 +73,7 @@ mod tests {
         other.add("front");
         other.add("rear");
         counts.merge(other);
-        assert_eq!(counts.describe(), "`front` (1 messages), `rear` (2 messages)");
+        assert_eq!(counts.describe(), "`front` (1 message), `rear` (2 messages)");
         assert_eq!((counts.len(), counts.count("rear"), counts.count("left")), (2, 2, 0));
     }
 }

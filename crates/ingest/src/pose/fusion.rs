@@ -163,7 +163,7 @@ fn check_sides(samples: &[WheelSample]) -> Result<(), WheelError> {
 /// Pairs of frames with their counts.
 fn named(frames: &[(&[String; 2], &u64)]) -> String {
     let one = |([parent, child], n): &(&[String; 2], &u64)| {
-        format!("`{child}` in `{parent}` ({n} messages)")
+        format!("`{child}` in `{parent}` ({n} message{})", if **n == 1 { "" } else { "s" })
     };
     frames.iter().map(one).collect::<Vec<_>>().join(", ")
 }

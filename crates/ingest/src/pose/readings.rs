@@ -34,7 +34,7 @@ pub(crate) struct MotionReadings {
     pub(crate) transforms: TransformHistory,
     /// Joints of the wheels.
     pub(crate) joints: Vec<JointReading>,
-    /// Odometry messages of which the twist is used.
+    /// Odometry messages. Their twist is used.
     pub(crate) odometry: Vec<OdometryReading>,
     /// Number of these messages by parent and child frame.
     pub(crate) odometry_frames: BTreeMap<[String; 2], u64>,

@@ -7,7 +7,7 @@ use dataset::Losses;
 pub enum WheelError {
     /// No message has wheels.
     #[error(
-        "no message has joints of the wheels on both sides{}; name them: `ingest.pose.wheels = {{ topic = \"...\", left = [\"...\"], right = [\"...\"] }}`",
+        "no message has wheel joints on both sides{}; name the joints: `ingest.pose.wheels = {{ topic = \"...\", left = [\"...\"], right = [\"...\"] }}`",
         in_parentheses(losses)
     )]
     NoWheels {
@@ -26,7 +26,7 @@ pub enum WheelError {
     },
     /// The wheels on one side do not move.
     #[error(
-        "the wheels on the {side} stand still while those on the other side move by {path:.1} (m, or rad without a wheel radius): an encoder does not count. Name other joints in `ingest.pose.wheels`, or use another source of poses"
+        "the wheels on the {side} stand still while those on the other side move by {path:.1} (m, or rad without a wheel radius): an encoder probably does not count. Name other joints in `ingest.pose.wheels`, or use another source of poses"
     )]
     StuckWheel {
         /// `left` or `right`.
@@ -66,7 +66,7 @@ pub enum WheelError {
         "{}. Set `ingest.pose.topic` to this topic to use its poses instead",
         match ratio.is_finite() {
             true => format!("the headings of the poses turn {ratio:.3} times as much as `twist.angular.z` of the same messages, expected 1: the yaw rate has another sign or unit"),
-            false => "`twist.angular.z` is 0 in all messages, but the headings of their poses turn: the yaw rate is not written".to_owned(),
+            false => "`twist.angular.z` is 0 in all messages, but the headings of their poses turn: the driver does not write the yaw rate".to_owned(),
         }
     )]
     TwistTurns {
@@ -113,7 +113,7 @@ pub enum WheelError {
     },
     /// The gyroscope does not turn.
     #[error(
-        "the gyroscope (topic `{imu}`) turns {ratio:.3} times as much as the wheels, expected 1: it turns by {gyro_rad:.2} rad in {secs:.0} s, and the wheels by {wheels_rad:.2} rad. The gyroscope is dead or not written. Remove `ingest.pose.imu` to use the wheels alone"
+        "the gyroscope (topic `{imu}`) turns {ratio:.3} times as much as the wheels, expected 1: it turns by {gyro_rad:.2} rad in {secs:.0} s, and the wheels by {wheels_rad:.2} rad. The gyroscope is dead, or its driver does not write the rate. Remove `ingest.pose.imu` to use the wheels alone"
     )]
     DeadGyro {
         /// The topic of the IMU.
@@ -131,7 +131,7 @@ pub enum WheelError {
     #[error(
         "gyroscope (topic `{imu}`) and wheels contradict each other: the gyroscope turns {ratio:.2} times as much as the wheels, with a correlation of {correlation:.2}, expected 1 and 1. {}",
         match is_one_reversed {
-            true => "If one wheel counts backward, they agree: correct the sign of one encoder, or remove `ingest.pose.imu` and this source of poses",
+            true => "If one wheel counts backward, they agree: correct the sign of one encoder, or use another source of poses",
             false => "Check the unit and the axes of the gyroscope, the joints of the wheels, `ingest.pose.track_m` and `wheel_radius_m`, and that both topics have stamps of one clock",
         }
     )]

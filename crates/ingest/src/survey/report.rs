@@ -94,17 +94,18 @@ impl StampSurvey {
         }
         if 0 < self.n_equal {
             lines.push(format!(
-                "{} of {} stamps are equal to the one before",
+                "{} of {} stamps are equal to the stamp before",
                 self.n_equal, self.n_stamped
             ));
         }
         if let Some(largest) =
             self.steps_s.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs()))
         {
-            lines.push(format!(
-                "the clock of the stamps steps {} times, by up to {largest:+.2} s",
-                self.steps_s.len()
-            ));
+            let times = match self.steps_s.len() {
+                1 => "once".to_owned(),
+                n => format!("{n} times"),
+            };
+            lines.push(format!("the clock of the stamps steps {times}, by up to {largest:+.2} s"));
         }
         lines
     }

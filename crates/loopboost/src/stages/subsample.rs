@@ -57,7 +57,7 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
     }
     if logs.is_empty() {
         return Err(anyhow!(
-            "none of the logs could be ingested: there are no scans to select from"
+            "none of the logs could be ingested, so there are no keyframes to select; correct the problem of at least one log, and run `ingest` again"
         ));
     }
     if failed.len() == logs.len() {
