@@ -146,8 +146,12 @@ fn retrieval_counts_all_pairs_of_a_log_by_the_label_rules() {
         assert!(average_precision > 2.0 * base, "{average_precision} at {base}");
     }
 
-    // With `max_pairs` there are fewer queries; without retrieval there are no rows.
-    workplace.command("run", "out", &["--set", "evaluate.max_pairs=10000"]).expect(0);
+    // With `max_pairs` there are fewer queries, which leave few matches; without retrieval there are
+    // no rows.
+    workplace
+        .command("run", "out", &["--set", "evaluate.max_pairs=10000"])
+        .expect(3)
+        .says(&["warning[few_matches_scored]: retrieval has only"]);
     let (thinned, _) = read_retrieval(&out("retrieval.parquet")).unwrap();
     assert!(thinned[0].query_stride > 1 && thinned[0].n_positive < rows[0].n_positive);
     workplace.command("run", "out", &["--set", "evaluate.retrieval=false"]).expect(0);
@@ -232,16 +236,18 @@ fn a_grouping_that_cannot_be_held_out_gives_an_error_with_the_remedy() {
         .says(&["`evaluate.groupings` contains `log`", "add logs, or remove `log`"]);
     assert!(!workplace.path("out/logs").exists(), "the error comes before any stage runs");
     // With two logs, no training pairs remain if both are held out.
-    let why =
-        "grouping `log`: with folds 0 and 1 held out, 0 positive and 0 negative pairs are left";
+    let why = "grouping `log` cannot be evaluated with 2 logs";
     let none = workplace.command("run", "out", &by_log).expect(1);
-    none.says(&["no grouping can be evaluated", why, "remove the grouping"]);
+    none.says(&["no grouping can be evaluated", why, "leave `log` out of `evaluate.groupings`"]);
     // With another grouping that can be evaluated, it is left out and reported, or it is an error.
     let both = ["--set", "evaluate.groupings=[\"pair\", \"log\"]"];
-    let reported = "grouping `log` not evaluated: 0 positive and 0 negative pairs are left";
-    workplace.command("run", "out", &both).expect(3).says(&[reported]);
+    let reported = "are between the 2 logs and hold out both, which leaves no pairs to train on";
+    workplace
+        .command("run", "out", &both)
+        .expect(3)
+        .says(&["grouping `log` not evaluated", reported]);
     let report = String::from_utf8(workplace.files("out")["report.html"].clone()).unwrap();
-    assert!(report.contains("not evaluated: 0 positive and 0 negative pairs are left"));
+    assert!(report.contains(reported));
     let required = [both, ["--set", "evaluate.require_groupings=true"]].concat();
     workplace.command("run", "out", &required).expect(1).says(&[why]);
     workplace

@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
 #![allow(dead_code, reason = "each test file uses only some of this")]
 
+pub mod packets;
+
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::Cursor;
