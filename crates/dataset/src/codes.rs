@@ -15,7 +15,7 @@ pub enum Severity {
     Info,
     /// Data was left out, or the meaning of the data is in doubt: look before trusting the result.
     Warning,
-    /// The data contradict themselves or the options.
+    /// The data contradicts itself or the options.
     Error,
 }
 

@@ -89,7 +89,7 @@ pub struct Input<'a> {
     pub seed: u64,
     /// What the stages of the run left out.
     pub losses: &'a Losses,
-    /// What the stages of the run remarked, without `not_evaluated`.
+    /// The notes of the stages of the run, without `not_evaluated`.
     pub notes: &'a [Note],
 }
 

@@ -145,7 +145,7 @@ pub enum IngestError {
     },
     /// The transforms do not give poses.
     #[error(
-        "{path}: no poses of frame `{child}` in frame `{parent}`; the transforms contain {found}{}: set `ingest.pose.frames` to two connected frames",
+        "{path}: no poses of frame `{child}` in frame `{parent}`; the transforms contain {found}{}; set `ingest.pose.frames` to two connected frames",
         in_parentheses(losses)
     )]
     NoFrames {

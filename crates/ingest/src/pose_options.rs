@@ -42,11 +42,11 @@ pub struct PoseOptions {
     /// of a map frame of this log alone.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub origin: Option<Origin>,
-    /// Maximum speed of the robot. Poses that need a higher speed are reported \[m/s\].
+    /// Maximum speed of the robot \[m/s\]. Poses that need a higher speed are reported.
     pub max_speed_m_s: f64,
     /// Where the poses are after a jump: `new_frame`, in a frame of their own without a known relation to
     /// the poses before, or `same_frame`, in the same map, for example after a correction of a
-    /// localizer. Satellite fixes are always in the same frame.
+    /// localiser. Satellite fixes are always in the same frame.
     pub jumps: Jumps,
     /// Topic with wheel speeds: `JointState`, or the twist of `Odometry`. The driven wheels of a `JointState`
     /// are found by the names of the joints, which contain `wheel` and a side, or are named:

@@ -16,8 +16,8 @@ pub struct Options {
     /// Least path length between the two scans of a positive pair from one log \[m\]. With 0,
     /// neighbours along the path are positive too, as in the paper.
     pub min_travel_gap_m: f64,
-    /// Largest difference between the heights of a positive pair \[m\], where the poses have a
-    /// height. Pairs that are closer in the plane but further apart in height are not used. Floors
+    /// Largest difference between the heights of a positive pair \[m\], if the poses have a
+    /// height. Pairs that are close in the plane but farther apart in height are not used. Floors
     /// of buildings and car parks are at least 2.6 m apart. Poses whose plane coordinates are good
     /// enough for `positive_radius_m` rarely drift by more than this in height; raise it if they do.
     pub max_height_difference_m: f64,

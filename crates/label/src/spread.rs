@@ -108,7 +108,7 @@ fn least_cap(counts: &[u64], wanted: usize) -> usize {
 /// 0 if there is none.
 fn largest_draw(counts: &[u64], max_place_share: f64, wanted: usize) -> usize {
     let is_possible = |n: &usize| *n as u64 <= available(counts, cap(max_place_share, *n));
-    // A share of a few pairs is rounded up: too few pairs are no useful suggestion.
+    // A share of a few pairs is rounded up: too few pairs are not a useful suggestion.
     let least = (1.0 / max_place_share).ceil() as usize;
     (least..=wanted).rev().find(is_possible).unwrap_or(0)
 }

@@ -201,7 +201,7 @@ struct PipelineArgs {
 }
 
 impl Cli {
-    /// Does what was asked. Returns what was left out and remarked.
+    /// Does what was asked. Returns losses and notes.
     pub(crate) fn execute(self) -> Result<Findings, Failure> {
         match self.command {
             Command::Run { args, force, dry_run, strict } => {

@@ -94,7 +94,7 @@ impl Findings {
     }
 }
 
-/// An error of a stage, and what the stages before it left out and remarked.
+/// An error of a stage, and the losses and notes of the stages before it.
 pub(crate) struct Failure {
     pub(crate) error: anyhow::Error,
     pub(crate) before: Findings,

@@ -54,7 +54,7 @@ pub(crate) enum Quality {
 /// Parts of the names of topics with ground truth: of simulators and of motion capture.
 const TRUTH: [&str; 8] =
     ["ground_truth", "groundtruth", "truth", "mocap", "vicon", "vrpn", "optitrack", "qualisys"];
-/// Parts of the names of topics with corrected poses: of SLAM and of localization in a map.
+/// Parts of the names of topics with corrected poses: of SLAM and of localisation in a map.
 const CORRECTED: [&str; 9] = [
     "corrected",
     "optimi",
@@ -66,7 +66,7 @@ const CORRECTED: [&str; 9] = [
     "pose_graph",
     "loop_clos",
 ];
-/// Parts of the names of topics with poses of something else than the robot.
+/// Parts of the names of topics with poses of something other than the robot.
 const OF_OTHER: [&str; 12] = [
     "goal",
     "initialpose",

@@ -30,8 +30,8 @@ impl Start {
 /// Remarks about sites of two logs or more: about poses in a frame of odometry, or else about logs that
 /// all start at the origin. Each of these logs probably has a map frame of its own.
 ///
-/// A robot that is localized in a shared map and always starts at its origin, such as a dock, is also
-/// remarked if its first pose is within [`AT_ORIGIN_M`] in every log.
+/// A robot that is localised in a shared map and always starts at its origin, such as a dock, is also
+/// reported if its first pose is within [`AT_ORIGIN_M`] in every log.
 pub(crate) fn unshared_frames(sites: &BTreeMap<String, Vec<Start>>) -> Vec<NoteKind> {
     let mut notes = Vec::new();
     for (site, starts) in sites.iter().filter(|(_, starts)| 1 < starts.len()) {
@@ -73,7 +73,7 @@ mod tests {
     }
 
     #[test]
-    fn logs_of_one_site_in_frames_of_odometry_are_remarked() {
+    fn logs_of_one_site_in_frames_of_odometry_are_reported() {
         for frame in ["odom", "robot1/odom", "/ns/Odom", "odom_combined", "vio_odom"] {
             let both = [("a", Some(frame), 3.0), ("b", Some(frame), 0.0)];
             assert_eq!(codes(&both), ["site_in_odometry_frame"], "{frame}");
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn logs_that_all_start_at_the_origin_are_remarked() {
+    fn logs_that_all_start_at_the_origin_are_reported() {
         let start = |x_m| [("a", Some("map"), 0.0), ("b", None, x_m)];
         assert_eq!(codes(&start(0.09)), ["site_starts_at_origin"]);
         assert!(codes(&start(0.11)).is_empty());

@@ -23,7 +23,7 @@ pub(crate) struct Trial {
     pub(crate) keyframes: Vec<Keyframe>,
     /// The label rules that suit the keyframes.
     labels: Option<LabelChoice>,
-    /// What the stages left out and remarked.
+    /// The losses and notes of the stages.
     findings: Findings,
     /// The stage that failed, and why.
     refusal: Option<(Stage, anyhow::Error)>,

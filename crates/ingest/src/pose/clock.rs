@@ -1,6 +1,6 @@
 //! Poses in the order of the file -> pieces in which the clock does not step back.
 //!
-//! Stamps can go back for two reasons. A message can be late: the recorder received it, or a tool wrote
+//! Stamps can step back for two reasons. A message can be late: the recorder received it, or a tool wrote
 //! it, after newer ones. Sorting by stamp puts it back in its place. Or the clock of the computer was
 //! set back (NTP, a restarted simulation). Then two parts of the drive have the same times, and sorting
 //! would mix them. The positions show which it is: the order in which the path is shorter is right.
@@ -16,7 +16,7 @@ const LATE_NS: i64 = 100_000_000;
 /// back by two periods or more, the sorted path zigzags and is at least twice as long. A late pose makes
 /// the path in the order of the file longer.
 const LONGER: f64 = 1.25;
-/// Between two parts without common times, a smaller difference of the distances says nothing \[m\].
+/// Between two parts without common times, a smaller difference of the distances is not evidence \[m\].
 const MIN_DIFFERENCE_M: f64 = 1.0;
 /// A clock is not set back more often than this in a drive, by less than [`IRREGULAR_NS`]. More steps
 /// are irregular stamps: the odometry of the Intel lab log has 164, of up to 0.9 s, in 45 minutes.

@@ -1,4 +1,4 @@
-//! Reads a trajectory from a text file, as other programs for localisation and mapping write it.
+//! Reads a trajectory from a text file, which other programs for localisation and mapping write.
 //!
 //! | columns | format |
 //! |---|---|
@@ -7,7 +7,7 @@
 //! | 44 | TUM, and the whole covariance, row by row |
 //! | 13 | KITTI with stamps: stamp, and the 12 numbers of the matrix \[R t\], row by row (KITTI odometry benchmark) |
 //!
-//! Columns are separated by blanks, tabs or commas. Lines that start with `#` are comments. The poses are
+//! Columns are separated by spaces, tabs or commas. Lines that start with `#` are comments. The poses are
 //! those of the robot, with x forward and z up.
 
 use std::path::Path;

@@ -9,7 +9,7 @@ use messages::FrameIds;
 /// use the topic at the same time.
 const MIN_MESSAGES_PER_CHANGE: usize = 10;
 /// A frame can change this often without a second publisher, in a log with few poses: to the frame of
-/// the map and back, when a localizer starts and stops.
+/// the map and back, when a localiser starts and stops.
 const FEW_CHANGES: usize = 2;
 
 /// The frames of the messages of a topic, in the order in which they appear.
@@ -81,7 +81,7 @@ impl FrameNames {
     }
 
     /// Whether several publishers use the topic at the same time: ordered by stamp, the frame of the
-    /// poses changes all the time.
+    /// poses changes back and forth.
     pub(crate) fn are_mixed(poses: &[StampedPose]) -> bool {
         let mut by_stamp: Vec<(i64, u32)> = poses.iter().map(|p| (p.stamp_ns, p.frame)).collect();
         by_stamp.sort_by_key(|(stamp_ns, _)| *stamp_ns);

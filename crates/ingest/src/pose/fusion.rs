@@ -29,8 +29,8 @@ const CORRELATED: f64 = 0.5;
 const OPPOSITE: f64 = 0.75;
 /// A sensor that turns less than this times the other one, and not with it, does not turn.
 const DEAD: f64 = 0.1;
-/// A side that drives less than this times the path of the other side does not count, if the other
-/// side drives more than this \[m\].
+/// A side is stuck if it drives less than this times the path of the other side, and the other side
+/// drives more than this \[m\].
 const STUCK: f64 = 1e-3;
 const MIN_PATH_M: f64 = 1.0;
 /// A measured heading turns less than the robot if it is below this ratio. The headings of a
@@ -38,14 +38,14 @@ const MIN_PATH_M: f64 = 1.0;
 const HEADING_TURNS: f64 = 0.2;
 /// Turns with which a measured heading changes at all \[rad\].
 const SLIGHT_TURN_RAD: f64 = 0.1;
-/// Shares of the comparisons of the filter that are outliers, above which the sensors contradict
-/// each other. With noise alone it is 0.3 % at a gate of 3.
+/// The sensors contradict each other if a larger share of the comparisons of the filter are outliers.
+/// With noise alone, the share is 0.3 % at a gate of 3.
 const MANY_OUTLIERS: f64 = 0.3;
-/// Deviations of a calibrated constant from its prior, in standard deviations, above which sensors
-/// and options contradict each other.
+/// Sensors and options contradict each other if a calibrated constant deviates from its prior by more
+/// than this number of standard deviations.
 const MANY_DEVIATIONS: f64 = 5.0;
-/// Time in which only one of the sensors measures, as a share of the drive, that is a warning; and
-/// the time that it has to last \[s\]. Drivers of a robot start within seconds of each other.
+/// If only one of the sensors measures for more than this share of the drive, and for more than this
+/// time \[s\], there is a warning. Drivers of a robot start within seconds of each other.
 const ALONE_SHARE: f64 = 0.05;
 const ALONE_SECS: f64 = 2.0;
 /// Time outside of the wheels from which IMU samples are mentioned at all \[s\]: every log has a few.
@@ -141,7 +141,7 @@ fn wheel_speeds(
     joint_speeds(&readings.joints, options)
 }
 
-/// Checks that both sides move. A robot that turns about one wheel for a whole drive does not exist.
+/// Checks that both sides move. No robot turns about one wheel for a whole drive.
 fn check_sides(samples: &[WheelSample]) -> Result<(), WheelError> {
     let path = |of: fn(&WheelSample) -> f64| {
         let pairs = samples.windows(2).filter(|pair| pair[0].stamp_ns < pair[1].stamp_ns);
@@ -190,8 +190,8 @@ fn is_near(ratio: f64, expected: f64, factor: f64) -> bool {
     (1.0 / factor..=factor).contains(&(ratio / expected))
 }
 
-/// Compares gyroscope and wheels over the whole drive. `needs_unit` says that the unit of the
-/// wheels is not known: they are taken to be in m/s, and the gyroscope has to confirm it.
+/// Compares gyroscope and wheels over the whole drive. If `needs_unit` is true, the unit of
+/// the wheels is not known: m/s is assumed, and the gyroscope must confirm it.
 fn check_turns(
     turns: &TurnComparisons,
     imu: Option<&str>,

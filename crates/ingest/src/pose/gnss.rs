@@ -198,7 +198,7 @@ mod tests {
             assert!((heading - expected).abs() < 1e-3, "{k}: {headings:?}");
         }
         assert_eq!(headings_of(&fixes[5..8]), [0.0; 3]);
-        // In two segments, the first of which goes only north.
+        // Two segments. The first one goes only north.
         let mut poses = poses(&fixes, &place);
         poses[8..].iter_mut().for_each(|p| p.segment = 1);
         set_courses(&mut poses);

@@ -24,7 +24,7 @@ const JUMP: f64 = 5.0;
 /// Velocities and positions contradict each other if their ratio is farther from 1 than this
 /// factor. Filters and rounding in drivers change it by a few percent.
 const MAX_VELOCITY_RATIO: f64 = 1.5;
-/// Shorter paths of a wheel say nothing about its velocities \[rad or m\].
+/// Shorter paths of a wheel are too short to check its velocities \[rad or m\].
 const MIN_PATH: f64 = 0.5;
 
 /// Whether a step of a position can come from wrapping it to one turn.

@@ -9,7 +9,7 @@ use dataset::StampedPose;
 /// because positions are rounded and stamps are late.
 const STEP_TOLERANCE_M: f64 = 0.1;
 
-/// A step that exceeds the motion of the robot by less than this is not a jump \[m\]. Localizers
+/// A step that exceeds the motion of the robot by less than this is not a jump \[m\]. Localisers
 /// correct their estimate in steps of some decimetres, and pairs up to 1.5 m apart show the same place
 /// by default (`label.positive_radius_m`).
 pub(crate) const MIN_JUMP_M: f64 = 1.0;
@@ -282,7 +282,7 @@ mod tests {
     fn a_jump_is_judged_by_the_speed_of_the_robot() {
         assert!(shifted(2.5, 0.3, 1.85) && !shifted(2.5, 0.3, 1.65));
         assert!(shifted(2.5, 0.3, -3.35) && !shifted(2.5, 0.3, -3.15));
-        // A slow robot, and small corrections of a localizer at 10 Hz.
+        // A slow robot, and small corrections of a localiser at 10 Hz.
         assert!(shifted(0.2, 0.1, 1.1) && !shifted(0.2, 0.1, 0.9));
         // A vehicle at 30 m/s is faster than `max_speed_m_s`: 1.5 times its speed is the limit then.
         assert!(shifted(30.0, 1.0, 20.0) && !shifted(30.0, 1.0, 15.0));
@@ -324,7 +324,7 @@ mod tests {
     }
 
     /// The stamps of a recorder that writes the ten poses of a second at once, of a vehicle at 20 m/s. A
-    /// real jump is found all the same.
+    /// real jump is still found.
     #[test]
     fn late_stamps_are_no_jumps() {
         let at = |jump_m: f64| {

@@ -243,7 +243,7 @@ mod tests {
             assert!(!sorted.is_in_gap((1.5e9 * period_s) as i64));
             assert!(!sorted.is_in_gap(i64::MAX), "after the last sample there is no value");
         }
-        // Two samples say nothing about a period.
+        // Two samples do not show a period.
         assert!(!recorded([0.0, 100.0]).sorted().is_in_gap(50_000_000_000));
         assert!(recorded([0.0, 1.0, 61.0]).sorted().is_in_gap(30_000_000_000));
     }

@@ -3,7 +3,7 @@
 //! 1. Where the clock steps back, the order of the file decides ([`crate::pose::clock`]). Times that
 //!    occur twice are left out, because a scan with such a time could belong to either part.
 //! 2. Poses that jump away and back are outliers and are left out.
-//! 3. Every other jump, change of frame and step of the clock starts a new segment. Nothing is
+//! 3. Every other jump, change of frame and step of the clock starts a new segment. Poses are not
 //!    interpolated between two segments. Poses after a jump are in a new frame, unless the options say
 //!    that they are in the same one.
 
@@ -18,12 +18,12 @@ use crate::pose::jumps::{Jump, OwnSpeed, climb_m, is_too_fast, secs};
 /// any time. A receiver of satellite signals loses its fix for some seconds between buildings.
 const MAX_OUTLIER_S: f64 = 5.0;
 /// Poses between two jumps that do not lead back are outliers too, if they are fewer than this share of
-/// the longest part without jumps: for example the first pose of a localizer, before it knows its
+/// the longest part without jumps: for example the first pose of a localiser, before it knows its
 /// position.
 const MAX_FRAGMENT_SHARE: f64 = 0.1;
 /// If more poses than this share are outliers or jump, they cannot be the path of one robot.
 const MAX_CONTRADICTORY_SHARE: f64 = 0.25;
-/// With fewer jumps and outliers, their share says nothing.
+/// With fewer jumps and outliers, their share is not evidence.
 const MIN_CONTRADICTORY: usize = 4;
 
 /// How poses are split into segments.
@@ -461,7 +461,7 @@ mod tests {
         assert_eq!(pieces(&found), [(100, 0), (15, 1), (85, 2)]);
     }
 
-    /// A localizer starts at the origin before it knows its position.
+    /// A localiser starts at the origin before it knows its position.
     #[test]
     fn a_first_pose_at_another_place_is_an_outlier() {
         let start = drive(100, |k, p| if k < 2 { p } else { shifted(p, 30.0) });
@@ -491,7 +491,7 @@ mod tests {
         assert_eq!(pieces(&segments(&stepped(50.0), &OPTIONS, vec![])), [(70, 0), (70, 1)]);
     }
 
-    /// The localizer is off for a while, and the poses are in the frame of the odometry.
+    /// The localiser is off for a while, and the poses are in the frame of the odometry.
     #[test]
     fn a_change_of_the_frame_starts_a_segment_and_a_frame_can_return() {
         let changed =

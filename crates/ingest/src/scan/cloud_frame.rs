@@ -45,7 +45,7 @@ pub(crate) enum FrameName {
     Other,
     /// A frame of the robot.
     Base,
-    /// The frame that the poses are in, with a name that says nothing else.
+    /// The frame that the poses are in, without another known name.
     Poses,
     /// The name of a frame that does not move.
     Fixed,

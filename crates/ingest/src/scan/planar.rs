@@ -20,7 +20,7 @@ pub(crate) enum FromPlanar {
 /// Beam `i` points to `angle_min + i angle_increment`. A reading outside the range limits of the
 /// message or of the options is not a return (`sensor_msgs/LaserScan`, REP 117). A reading exactly at
 /// the maximum of the message is not a return either, because older drivers report it for no return.
-/// A maximum that is not more than 0 is not set (some drivers leave it at 0): then only the options
+/// A maximum of 0 or less is not set (some drivers leave it at 0). In this case, only the options
 /// limit the range.
 pub(crate) fn scan(
     source: Source,

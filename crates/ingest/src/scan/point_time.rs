@@ -1,6 +1,6 @@
 //! Finds out how the points of a cloud state their times: field, unit, and what they count from.
 //!
-//! Drivers agree on none of these, and the field does not state its unit. The length of a revolution
+//! Drivers do not agree on any of these, and the field does not state its unit. The length of a revolution
 //! shows it: the units are a factor of 1000 apart, and lidars rotate 2 to 50 times per second.
 
 use std::collections::BTreeMap;

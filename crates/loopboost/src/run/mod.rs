@@ -236,7 +236,7 @@ impl Run {
         manifest.save(&self.folder.root)
     }
 
-    /// What all stages before this one left out and remarked.
+    /// The losses and notes of all stages before this one.
     pub(crate) fn findings_before(&self, stage: Stage) -> Result<Findings> {
         let mut findings = Findings::default();
         if Stage::Ingest < stage {
@@ -256,7 +256,7 @@ impl Run {
         Ok(findings)
     }
 
-    /// What the stages before the current one left out and remarked. Nothing if that is not known.
+    /// The losses and notes of the stages before the current one. Empty if they are not known.
     pub(crate) fn findings_so_far(&self) -> Findings {
         let before = self.stage.get().map(|stage| self.findings_before(stage));
         before.and_then(Result::ok).unwrap_or_default()
@@ -280,7 +280,7 @@ impl Run {
     }
 
     /// Does a task, unless it was done with the same inputs and options and its outputs are
-    /// unaltered. Returns what was left out and remarked, now or then.
+    /// unaltered. Returns the losses and notes, of now or of then.
     pub(crate) fn task(
         &self,
         task: &Task,
