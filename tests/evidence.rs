@@ -241,7 +241,7 @@ fn a_grouping_that_cannot_be_held_out_gives_an_error_with_the_remedy() {
     none.says(&["no grouping can be evaluated", why, "leave `log` out of `evaluate.groupings`"]);
     // With another grouping that can be evaluated, it is left out and reported, or it is an error.
     let both = ["--set", "evaluate.groupings=[\"pair\", \"log\"]"];
-    let reported = "are between the 2 logs and hold out both, which leaves no pairs to train on";
+    let reported = "both must be held out, which leaves no pairs to train on";
     workplace
         .command("run", "out", &both)
         .expect(3)

@@ -184,7 +184,7 @@ pub enum IngestError {
     },
     /// The lidar topic gives no scan.
     #[error(
-        "{path}: topic `{topic}` gives no scan{reason}{}; set `ingest.lidar.topic` to another topic, or remove the log from `ingest.logs`",
+        "{path}: topic `{topic}` gives no scan{reason}{}; correct the driver, set `ingest.lidar.topic` to another topic, or remove the log from `ingest.logs`",
         if *is_mixed { "; its packets seem to come from more than one sensor" } else { "" }
     )]
     NoScans {
