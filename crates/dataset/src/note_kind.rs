@@ -615,14 +615,14 @@ codes! {
             /// Turns of the heading over its turns.
             ratio: f64,
         } => "the headings of the IMU turn {ratio:.2} times as much as the {reference}, expected 1: they are clockwise (NED) and were not used; convert them to counter-clockwise (ENU), or set `ingest.pose.use_heading = false`";
-        /// Gyroscope and wheels contradict each other most of the time.
+        /// Gyroscope and wheels contradict each other for much of the time.
         Warning "mostly_slip" MostlySlip {
             /// Windows in which they differ by more than the gate.
             n_outliers: u64,
             /// All windows of one second in motion.
             n_windows: u64,
         } => "gyroscope and wheels contradict each other in {n_outliers} of {n_windows} s in motion: this is not wheel slip; check `track_m`, `wheel_radius_m` and the stamps; the uncertainty of the poses was raised";
-        /// Most measured headings contradict the other sensors.
+        /// Many measured headings contradict the other sensors.
         Warning "headings_contradict" HeadingsContradict {
             /// Headings beyond the gate.
             n_outliers: u64,
