@@ -67,7 +67,7 @@ codes! {
             /// A revisit by one topic is contradicted if it is farther apart by the other \[m\].
             apart_m: f64,
         } => "topic `{other}` disagrees with these poses: its path has an extent of {other_extent_m:.1} m, and this path has an extent of {extent_m:.1} m (root mean square distance from the centre); {n_apart} of {n_revisits} revisits are more than {apart_m} m apart by `{other}`, and {other_n_apart} of {other_n_revisits} revisits by `{other}` are more than {apart_m} m apart here; labels are only right if the poses do not drift: check which topic is right";
-        /// Logs of one site have poses in a frame of odometry, which starts anew in each log.
+        /// Logs of one site have poses in a frame of odometry, which starts at a new origin in each log.
         Warning "site_in_odometry_frame" SiteInOdometryFrame {
             /// The site.
             site: String,
