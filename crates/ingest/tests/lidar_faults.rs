@@ -141,6 +141,11 @@ fn regular_messages_give_no_note() {
     simulated.iter_mut().for_each(|message| message.log_ns -= START_NS);
     let (scans, ingested) = ingest(&simulated, &options()).unwrap();
     assert_eq!((scans.len(), ingested.losses.is_empty()), (60, true));
+    // The same with the log times of the clock on the wall: the stamps 0 of the first messages are times.
+    let simulated = drive(60, |k| k * S / 10, |k| k * S / 10);
+    let (scans, ingested) = ingest(&simulated, &options()).unwrap();
+    let n_poses = ingested.trajectory.poses().len();
+    assert_eq!((scans.len(), n_poses, ingested.losses.is_empty()), (60, 60, true));
 }
 
 #[test]

@@ -328,7 +328,7 @@ fn transforms_give_poses_and_deskew_scans() {
     let (message, cause) = error("map", "camera");
     assert_eq!(
         message,
-        "drive.mcap: no poses of frame `camera` in frame `map`; the transforms contain the frames `base`, `lidar`, `map`, `odom`, `wheel`: set `ingest.pose.frames` to two connected frames"
+        "drive.mcap: no poses of frame `camera` in frame `map`; the transforms contain the frames `base`, `lidar`, `map`, `odom`, `wheel`; set `ingest.pose.frames` to two connected frames"
     );
     assert_eq!(cause, "no chain of transforms connects the two frames");
     let (_, cause) = error("base", "lidar");

@@ -14,7 +14,7 @@ use dataset::{Note, NoteKind, Scan};
 use ingest::{Clock, IngestError, Ingested, LidarOptions, Options};
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
-use messages::hdl32e::{BLOCKS, HOUR_US, LASERS, PACKET_BYTES, PacketBuilder, ReturnMode};
+use messages::hdl32e::{BLOCKS, HOUR_US, PacketBuilder, ReturnMode};
 use messages::{Encoding, PointCloud, PointField, Scalar, ros};
 
 type Output = Result<(Vec<Scan>, Ingested), IngestError>;

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 
 use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject};
-use messages::{Encoding, MessageType, Source, is_plausible_message};
+use messages::{Encoding, MessageType, Source, is_plausible_message, read_stamp_ns};
 
 use crate::error::IngestError;
 use crate::mcap::chunk::{self, Buffer};
@@ -28,7 +28,14 @@ pub(crate) struct Topic {
     pub(crate) losses: Losses,
     /// What was assumed.
     pub(crate) notes: Vec<Note>,
+    /// Whether the clock of the stamps starts at 0, as that of a simulation. A stamp of 0 is a time then.
+    pub(crate) starts_at_zero: bool,
 }
+
+/// A clock whose stamps are less than this starts at 0 \[ns\]: 11 days.
+const MAX_FROM_ZERO_NS: i64 = 1_000_000_000_000_000;
+/// The first stamp other than 0 is looked for in this number of pieces.
+const N_FIRST_PIECES: usize = 3;
 
 impl Topic {
     #[inline]
@@ -163,13 +170,41 @@ impl<'a> Drive<'a> {
             let read_as = read_as.to_owned();
             Note::new(NoteKind::NoSchema { read_as }, subject())
         });
-        Ok(Topic { name: name.to_owned(), sources, losses, notes: notes.collect() })
+        let notes = notes.collect();
+        let mut topic =
+            Topic { name: name.to_owned(), sources, losses, notes, starts_at_zero: false };
+        topic.starts_at_zero = self.first_stamp_ns(&topic).is_some_and(|ns| ns < MAX_FROM_ZERO_NS);
+        Ok(topic)
     }
 
     /// A topic without channels, for data that is not in the drive.
     pub(crate) fn no_channels(&self, name: &str) -> Topic {
         let sources = vec![BTreeMap::new(); self.files.len()];
-        Topic { name: name.to_owned(), sources, losses: Losses::default(), notes: Vec::new() }
+        let (losses, notes) = Default::default();
+        Topic { name: name.to_owned(), sources, losses, notes, starts_at_zero: false }
+    }
+
+    /// The first stamp of a topic that is not 0 \[ns\].
+    fn first_stamp_ns(&self, topic: &Topic) -> Option<i64> {
+        let mut buffer = Buffer::default();
+        let mut first = None;
+        for FilePiece { file, log, piece, .. } in
+            self.pieces_with(&[topic]).into_iter().take(N_FIRST_PIECES)
+        {
+            // Losses are counted later, when the messages are read.
+            chunk::messages(log.bytes(), piece, &mut buffer, |header, data| {
+                if first.is_none()
+                    && let Some(source) = topic.source(file, header.channel_id)
+                {
+                    let stamp_ns = read_stamp_ns(source, data).ok().flatten();
+                    first = stamp_ns.filter(|&stamp_ns| stamp_ns != 0);
+                }
+            });
+            if first.is_some() {
+                break;
+            }
+        }
+        first
     }
 
     /// The error for a topic that does not exist, or has only a channel of an unsuitable type.

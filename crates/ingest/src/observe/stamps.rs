@@ -18,6 +18,9 @@ const MIN_BUCKETS: usize = 3;
 /// corrects smaller errors by changing its rate. The delay of a busy host can change by as much, so
 /// the limit is twice that.
 const MIN_STEP_NS: i64 = 256_000_000;
+/// A message that is earlier than a message before it by up to this time is late, not stamped by a clock
+/// that was set \[ns\]. The order of poses has the same limit.
+const LATE_NS: i64 = 100_000_000;
 /// A message that is earlier than a message before it starts a step back if this many messages in a
 /// row are. Threads and networks exchange neighbours, but not more.
 const MIN_MESSAGES_BACK: u64 = 3;
@@ -88,6 +91,10 @@ impl StampObserver {
         if self.last.is_none() || self.latest_ns < stamp_ns {
             self.n_out_of_order += self.behind.take().map_or(0, |(_, _, n)| n);
             self.latest_ns = stamp_ns;
+            return;
+        }
+        if self.latest_ns.saturating_sub(stamp_ns) <= LATE_NS {
+            self.n_out_of_order += 1;
             return;
         }
         let (from_ns, from_log_ns, n) = self.behind.unwrap_or((stamp_ns, log_ns, 0));
@@ -283,6 +290,14 @@ mod tests {
         });
         assert_eq!(observer.n_out_of_order(), 10);
         assert!(observer.steps_back().is_empty() && observer.steps_against_log().is_empty());
+    }
+
+    /// A second node on the topic, whose messages are 9 ms later than those of the first.
+    #[test]
+    fn messages_that_are_a_little_late_are_no_step() {
+        let observer = observe(3000, 0.002, |k, t| if k % 125 == 0 { t } else { t - 0.009 });
+        assert!(observer.steps_back().is_empty() && observer.steps_against_log().is_empty());
+        assert!(observer.n_out_of_order() > 80, "{}", observer.n_out_of_order());
     }
 
     /// Every 20th message comes with two others, 0.5 s late.

@@ -37,13 +37,15 @@ pub(crate) struct SeenHeader {
 
 impl TopicPiece {
     /// Adds a message. `None` for transforms, which have no header, and for messages whose header
-    /// cannot be read. If one frame is `wanted`, the stamps of other frames are left out.
+    /// cannot be read. If one frame is `wanted`, the stamps of other frames are left out. A stamp of 0 is
+    /// a time if the clock `starts_at_zero`.
     pub(crate) fn add(
         &mut self,
         source: Source,
         log_ns: u64,
         data: &[u8],
         wanted: Option<&str>,
+        starts_at_zero: bool,
     ) -> Option<SeenHeader> {
         let stamp_ns = read_stamp_ns(source, data).ok().flatten()?;
         let mut is_wanted = wanted.is_none();
@@ -54,7 +56,7 @@ impl TopicPiece {
         if !is_wanted {
             return Some(SeenHeader { is_wanted, is_unstamped: false });
         }
-        let is_unstamped = stamp_ns == 0 && FIRST_REAL_LOG_NS <= log_ns;
+        let is_unstamped = stamp_ns == 0 && FIRST_REAL_LOG_NS <= log_ns && !starts_at_zero;
         match is_unstamped {
             true => self.n_unstamped += 1,
             false => self.stamps.push((stamp_ns, log_ns)),

@@ -112,7 +112,7 @@ impl Reader<'_> {
                     MessageType::Imu => options.imu_frame_id.as_deref(),
                     _ => options.frame_id.as_deref(),
                 };
-                let header = seen.add(source, log_ns, data, wanted);
+                let header = seen.add(source, log_ns, data, wanted, topic.starts_at_zero);
                 let is_unstamped = header.is_some_and(|header| header.is_unstamped);
                 if is_unstamped && options.stamp == Stamp::Header {
                     let subject = Subject::topic(&topic.name);
@@ -143,7 +143,8 @@ impl Reader<'_> {
         decoded: &mut Decoded,
     ) -> messages::Result<()> {
         let options = &self.options.lidar;
-        let seen = decoded.lidar.seen.add(source, log_ns, data, options.frame_id.as_deref());
+        let (wanted, from_zero) = (options.frame_id.as_deref(), self.lidar.starts_at_zero);
+        let seen = decoded.lidar.seen.add(source, log_ns, data, wanted, from_zero);
         // A message whose header cannot be read is counted below.
         if seen.as_ref().is_some_and(|header| !header.is_wanted) {
             return Ok(());

@@ -7,7 +7,7 @@ use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject};
 use crate::drive::topic::Topic;
 use crate::error::IngestError;
 use crate::observe::frames::without_slash;
-use crate::observe::stamps::StampObserver;
+use crate::observe::stamps::{StampObserver, StampStep};
 use crate::observe::topic::{TopicObserver, TopicPiece};
 use crate::options::Options;
 use crate::scan::beam::{is_cloud, is_packet};
@@ -22,6 +22,9 @@ const MAX_DELAY_DIFFERENCE_S: f64 = 1.0;
 /// A message cannot be recorded before it was stamped. Clocks that are synchronised with NTP over a
 /// network differ by less than this \[s\].
 const MAX_EARLY_S: f64 = 0.1;
+
+/// Steps of two topics that differ by less than this are one step of one clock \[ns\].
+const MAX_STEP_DIFFERENCE_NS: u64 = 256_000_000;
 
 const LIDAR_STAMP: &str = "ingest.lidar.stamp";
 const POSE_STAMP: &str = "ingest.pose.stamp";
@@ -103,14 +106,17 @@ impl Observers {
             check_topic_stamps(of, topic, observer, pose_stamp, POSE_STAMP)?;
         }
         // The stamps of packets are compared with the device clock when revolutions are made.
-        if of.options.lidar.stamp == Stamp::Header && !of.lidar.any(is_packet) {
+        let is_lidar_compared = of.options.lidar.stamp == Stamp::Header && !of.lidar.any(is_packet);
+        let is_shared = is_lidar_compared && pose_stamp == Stamp::Header && self.steps_are_shared();
+        if is_lidar_compared {
             let stamps = &self.lidar.stamps;
-            notes.extend(step_notes(stamps, LIDAR_STAMP).into_iter().map(|kind| of.on_lidar(kind)));
+            let kinds = step_notes(stamps, LIDAR_STAMP, is_shared).into_iter();
+            notes.extend(kinds.map(|kind| of.on_lidar(kind)));
             notes.extend(order_notes(stamps).into_iter().map(|kind| of.on_lidar(kind)));
         }
         for (topic, observer) in of.pose_topics.iter().zip(&self.poses) {
             if pose_stamp == Stamp::Header {
-                let kinds = step_notes(&observer.stamps, POSE_STAMP).into_iter();
+                let kinds = step_notes(&observer.stamps, POSE_STAMP, is_shared).into_iter();
                 notes.extend(kinds.map(|kind| Note::new(kind, Subject::topic(&topic.name))));
             }
             let lidar_delay_s = delay_s(&self.lidar.stamps, of.options.lidar.stamp);
@@ -123,6 +129,27 @@ impl Observers {
             ));
         }
         Ok(())
+    }
+
+    /// Whether the stamps of lidar and poses step against the log times by the same amounts at the same
+    /// times. They have one clock then, for example that of a simulation that was paused.
+    fn steps_are_shared(&self) -> bool {
+        let of_lidar = self.lidar.stamps.steps_against_log();
+        let slack_ns = |other: &StampObserver| {
+            let periods_s = self.lidar.stamps.period_s().zip(other.period_s());
+            1_000_000_000 + periods_s.map_or(0, |(a, b)| ((a + b) * 1e9) as u64)
+        };
+        let is_same = |a: &StampStep, b: &StampStep, slack_ns: u64| {
+            a.step_ns.abs_diff(b.step_ns) < MAX_STEP_DIFFERENCE_NS
+                && a.log_ns.abs_diff(b.log_ns) <= slack_ns
+        };
+        let is_shared_with = |other: &TopicObserver| {
+            let of_other = other.stamps.steps_against_log();
+            let slack_ns = slack_ns(&other.stamps);
+            of_lidar.len() == of_other.len()
+                && of_lidar.iter().zip(&of_other).all(|(a, b)| is_same(a, b, slack_ns))
+        };
+        !self.poses.is_empty() && self.poses.iter().all(is_shared_with)
     }
 
     /// Checks the angles, ranges and times of planar scans, and the ranges and times of clouds.
@@ -246,8 +273,9 @@ fn check_topic_stamps(
     }
 }
 
-/// Notes about a clock that was set during the drive.
-fn step_notes(stamps: &StampObserver, option: &str) -> Vec<NoteKind> {
+/// Notes about a clock that was set during the drive. Steps against the log times that all topics share
+/// do no harm.
+fn step_notes(stamps: &StampObserver, option: &str, is_shared: bool) -> Vec<NoteKind> {
     let option = option.to_owned();
     let against_log = stamps.steps_against_log();
     let back = stamps.steps_back();
@@ -262,7 +290,7 @@ fn step_notes(stamps: &StampObserver, option: &str) -> Vec<NoteKind> {
         let log_ns = first.log_ns;
         return vec![NoteKind::StampsStepBack { n_steps, largest_s, log_ns, with_log, option }];
     }
-    match against_log.first() {
+    match against_log.first().filter(|_| !is_shared) {
         None => Vec::new(),
         Some(first) => {
             let n_steps = against_log.len() as u64;
@@ -325,11 +353,31 @@ mod tests {
 
     const S: i64 = 1_000_000_000;
 
+    /// A simulation is paused for 30 s, while the log times go on.
+    #[test]
+    fn a_pause_of_one_clock_is_no_step() {
+        let at = |k: i64| 100 * S + k * S / 10;
+        let log = |k: i64| at(k) + if 40 <= k { 30 * S } else { 0 };
+        let observed = |poses: StampObserver| Observers {
+            lidar: TopicObserver { stamps: stamps(80, at, log), ..Default::default() },
+            poses: vec![TopicObserver { stamps: poses, ..Default::default() }],
+            ..Default::default()
+        };
+        assert!(observed(stamps(80, at, log)).steps_are_shared());
+        assert!(!observed(stamps(80, at, at)).steps_are_shared());
+        assert!(
+            !observed(stamps(80, at, |k| at(k) + if 40 <= k { 3 * S } else { 0 }))
+                .steps_are_shared()
+        );
+        assert_eq!(step_notes(&stamps(80, at, log), "o", true), []);
+        assert_eq!(step_notes(&stamps(80, at, log), "o", false).len(), 1);
+    }
+
     #[test]
     fn one_note_describes_a_step() {
         let at = |k: i64| 100 * S + k * S / 10;
         let back = |k: i64| at(k) - if 40 <= k { 3 * S } else { 0 };
-        let notes = step_notes(&stamps(80, back, at), "ingest.lidar.stamp");
+        let notes = step_notes(&stamps(80, back, at), "ingest.lidar.stamp", false);
         let [note @ NoteKind::StampsStepBack { n_steps: 1, with_log: false, .. }] = &notes[..]
         else {
             panic!("{notes:?}")
@@ -338,14 +386,14 @@ mod tests {
         assert!(text.starts_with("the stamps step back by up to 3.00 s, once, first at"), "{text}");
         assert!(text.contains("set `ingest.lidar.stamp = \"log\"`"), "{text}");
 
-        let notes = step_notes(&stamps(80, back, back), "o");
+        let notes = step_notes(&stamps(80, back, back), "o", false);
         assert!(
             matches!(notes[..], [NoteKind::StampsStepBack { with_log: true, .. }]),
             "{notes:?}"
         );
 
         let ahead = |k: i64| at(k) + if 40 <= k { 18 * S } else { 0 };
-        let notes = step_notes(&stamps(80, ahead, at), "o");
+        let notes = step_notes(&stamps(80, ahead, at), "o", false);
         let [NoteKind::StampsStepAgainstLog { largest_s, .. }] = notes[..] else {
             panic!("{notes:?}")
         };

@@ -84,8 +84,9 @@ pub(crate) struct PlanarReadings {
     n_without_range_max: u64,
     /// Number of scans with an impossible time between beams, and the first of them.
     time_fault: Option<(u64, String)>,
-    /// Longest time from the first beam to the last \[s\].
-    duration_s: f64,
+    /// Number of scans with times of their beams, and the sum of the times from the first beam to the last
+    /// \[s\]. The mean counts: drivers that measure the time give single scans a time that is too long.
+    durations: (u64, f64),
     /// Least and largest limits of the messages \[m\].
     own_limits: Option<(f32, f32)>,
     n_readings: u64,
@@ -119,7 +120,8 @@ impl PlanarReadings {
 
     /// Adds the time from the first beam to the last \[s\].
     pub(crate) fn add_duration(&mut self, duration_s: f64) {
-        self.duration_s = self.duration_s.max(duration_s);
+        self.durations.0 += 1;
+        self.durations.1 += duration_s;
     }
 
     /// Counts a reading.
@@ -143,7 +145,8 @@ impl PlanarReadings {
         if let Some((n, fault)) = later.time_fault {
             self.time_fault.get_or_insert((0, fault)).0 += n;
         }
-        self.duration_s = self.duration_s.max(later.duration_s);
+        self.durations.0 += later.durations.0;
+        self.durations.1 += later.durations.1;
         self.own_limits = match (self.own_limits, later.own_limits) {
             (Some((a, b)), Some((c, d))) => Some((a.min(c), b.max(d))),
             (one, other) => one.or(other),
@@ -206,7 +209,7 @@ impl PlanarReadings {
     /// Remarks about scans that were used. `period_s` is the time between two messages.
     pub(crate) fn notes(&self, period_s: Option<f64>) -> Vec<NoteKind> {
         let mut notes = Vec::new();
-        let duration_s = self.duration_s;
+        let duration_s = self.durations.1 / self.durations.0.max(1) as f64;
         if let Some(period_s) = period_s.filter(|period_s| MAX_PERIODS * period_s < duration_s) {
             notes.push(NoteKind::ScanLongerThanPeriod { duration_s, period_s });
         }
@@ -339,6 +342,19 @@ mod tests {
         // One obstacle at 60 mm is within the limits of the options.
         let text = fault(&[60.0, 2500.0, 12_000.0], 30_000.0).unwrap();
         assert!(text.contains("too far for a planar scan"), "{text}");
+    }
+
+    /// A driver that measures the time from scan to scan, on a host that was busy once.
+    #[test]
+    fn one_long_scan_is_no_fault() {
+        let with = |long: usize| {
+            let mut readings = readings(&[1.0], 30.0);
+            (0..100).for_each(|k| readings.add_duration(if k < long { 0.9 } else { 0.1 }));
+            readings.notes(Some(0.1))
+        };
+        assert_eq!(with(1), []);
+        let notes = with(50);
+        assert!(matches!(notes[..], [NoteKind::ScanLongerThanPeriod { .. }]), "{notes:?}");
     }
 
     #[test]

@@ -168,7 +168,7 @@ impl Found {
         let Some(source) = source else { return };
         self.source = Some(source);
         self.add_frames(source, data);
-        self.seen.add(source, time, data, None);
+        self.seen.add(source, time, data, None, false);
         if let Err(kind) = self.add_content(source, data) {
             self.losses.add(Loss::new(kind, Subject::topic(topic)), 1);
         }
