@@ -246,6 +246,11 @@ fn check_enough(
         if 0 < candidates.other_height {
             remedies.push("if the heights drift, raise `label.max_height_difference_m`");
         }
+        if 0 < candidates.other_frame {
+            remedies.push(
+                "if the poses before and after a jump are in one map, set `ingest.pose.jumps = \"same_frame\"`",
+            );
+        }
     }
     if is_short(negative) {
         remedies.push(

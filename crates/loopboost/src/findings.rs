@@ -54,11 +54,12 @@ impl Findings {
         lines.into_iter().map(|(_, line)| line).collect()
     }
 
-    /// The number of warnings: a loss of several logs is one, and every note is one.
-    pub(crate) fn n_warnings(&self) -> usize {
+    /// The number of losses and notes of a severity: a loss of several logs is one, and every note is
+    /// one.
+    pub(crate) fn count(&self, severity: Severity) -> usize {
         let losses = self.losses.sentences().into_iter().map(|(kind, _)| kind.severity());
         let severities = losses.chain(self.notes.iter().map(Note::severity));
-        severities.filter(|severity| Severity::Warning <= *severity).count()
+        severities.filter(|of| *of == severity).count()
     }
 
     fn loss_lines(&self) -> Vec<(Severity, String)> {
@@ -145,7 +146,7 @@ mod tests {
         for (line, start) in lines.iter().zip(starts) {
             assert!(line.starts_with(start), "{line}");
         }
-        assert_eq!(findings.n_warnings(), 2);
+        assert_eq!(findings.count(Severity::Warning), 2);
         let warnings = findings.warnings();
         let expected = [("duplicate_packets".to_owned(), 8), ("stamp_steps".to_owned(), 1)].into();
         assert_eq!(warnings, expected);

@@ -64,11 +64,20 @@ fn main() -> ExitCode {
             for line in findings.lines() {
                 eprintln!("{line}");
             }
-            match findings.n_warnings() {
-                0 => DONE,
-                n => {
-                    let warnings = if n == 1 { "warning" } else { "warnings" };
-                    eprintln!("done with {n} {warnings}; docs/messages.md explains each code");
+            let counts = [
+                (findings.count(Severity::Error), "error"),
+                (findings.count(Severity::Warning), "warning"),
+            ];
+            let counts: Vec<String> = counts
+                .into_iter()
+                .filter(|(n, _)| 0 < *n)
+                .map(|(n, name)| format!("{n} {name}{}", if n == 1 { "" } else { "s" }))
+                .collect();
+            match counts.is_empty() {
+                true => DONE,
+                false => {
+                    let counts = counts.join(" and ");
+                    eprintln!("done with {counts}; docs/messages.md explains each code");
                     NEEDS_ATTENTION
                 }
             }
