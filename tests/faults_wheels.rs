@@ -98,11 +98,14 @@ fn scan(encoding: Encoding, ns: i64) -> Message {
     Message { topic, type_name, encoding, stamp_ns: ns, data: message.finish() }
 }
 
+/// Names, positions and velocities of joints.
+type Joints = (Vec<&'static str>, Vec<f64>, Vec<f64>);
+
 /// A drive whose messages are made by functions of the time \[s\]: the joints from the angles and the
 /// rates of the wheels, the yaw rate of the gyroscope, and the orientation of the IMU.
 struct Drive<'a> {
     encoding: Encoding,
-    joints: &'a dyn Fn([f64; 2], [f64; 2]) -> (Vec<&'static str>, Vec<f64>, Vec<f64>),
+    joints: &'a dyn Fn([f64; 2], [f64; 2]) -> Joints,
     gyro: &'a dyn Fn(f64) -> f64,
     orientation: &'a dyn Fn(f64) -> [f64; 4],
     /// Lines of `[ingest.pose]`.

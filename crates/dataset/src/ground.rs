@@ -36,7 +36,7 @@ pub fn common_frames(keyframes: &[Keyframe]) -> Vec<u32> {
         let own = has_several.then(|| (keyframe.id.log.clone(), keyframe.frame));
         (keyframe.site.clone(), own)
     };
-    numbered(keyframes.iter().map(name).collect())
+    numbered(&keyframes.iter().map(name).collect::<Vec<_>>())
 }
 
 /// Squares of ground, and the number of keyframes in each.
@@ -61,8 +61,9 @@ impl Squares {
             let layer = k.z_m.map_or(0, |z_m| (z_m / layer_m).round() as i64);
             (frame, layer, floor(k.pose.x_m), floor(k.pose.y_m))
         };
-        let of_keyframes =
-            numbered(keyframes.iter().zip(frames).map(|(k, frame)| cell(k, frame)).collect());
+        let of_keyframes = numbered(
+            &keyframes.iter().zip(frames).map(|(k, frame)| cell(k, frame)).collect::<Vec<_>>(),
+        );
         let n_squares = of_keyframes.iter().max().map_or(0, |&last| last as usize + 1);
         let mut sizes = vec![0; n_squares];
         for &square in &of_keyframes {
@@ -81,7 +82,7 @@ impl Squares {
 }
 
 /// Numbers distinct names from 0 in their order, and returns the number of each name.
-fn numbered<N: Ord>(names: Vec<N>) -> Vec<u32> {
+fn numbered<N: Ord>(names: &[N]) -> Vec<u32> {
     let mut numbers: BTreeMap<&N, u32> = names.iter().map(|name| (name, 0)).collect();
     for (number, entry) in (0..).zip(numbers.values_mut()) {
         *entry = number;

@@ -273,7 +273,7 @@ mod tests {
             (0..40).map(|k| if k % 2 == 0 { Positive } else { Negative }).collect();
         let correct: Vec<f64> = labels.iter().map(|label| label.target()).collect();
         let scores = scores((0..40).map(|k| [k / 2; 2]).collect(), correct);
-        let found = &summaries(&labels, &[scores.clone()], 200, 3)[0];
+        let found = &summaries(&labels, std::slice::from_ref(&scores), 200, 3)[0];
         let [low, high] = found.error.interval.unwrap();
         assert!(low == 0.0 && (high - 0.1684).abs() < 1e-4, "{high}");
         for estimate in [found.average_precision, found.max_f1] {

@@ -213,7 +213,7 @@ fn check_own_poses(log: &Log, topic: &str) {
 }
 
 fn note_codes(log: &Log) -> Vec<&str> {
-    log.imported.notes.iter().map(|note| note.code()).collect()
+    log.imported.notes.iter().map(dataset::Note::code).collect()
 }
 
 #[test]
@@ -232,7 +232,8 @@ fn corrected_poses_of_scans_take_precedence_over_odom_lines_of_the_same_time() {
 /// Zero, negative, wrapped (a millisecond counter in 16 bits), coarse and constant times.
 #[test]
 fn a_log_whose_times_cannot_be_used_is_stamped_by_line() {
-    let times: [(fn(usize) -> String, &str); 6] = [
+    type Times = fn(usize) -> String;
+    let times: [(Times, &str); 6] = [
         (|_| "0".to_owned(), "20 of them are 0"),
         (|k| format!("{:.1}", 0.2 * k as f64 - 2.0), "10 of them are negative"),
         (|k| format!("{:.3}", (60.0 + 0.7 * k as f64) % 65.536), "step back by up to 64.8 s"),
@@ -281,9 +282,9 @@ fn a_few_lines_with_wrong_times_are_dropped_and_counted() {
 fn odom_lines_without_times_are_left_out() {
     let mut text = HEAD.to_owned();
     for k in 0..20 {
-        let x = 0.2 * k as f64;
+        let x = 0.2 * f64::from(k);
         text += &format!("ODOM {x} 0 0 0.9 0 0 0 h 0\n");
-        let time = 100.0 + 0.2 * k as f64;
+        let time = 100.0 + 0.2 * f64::from(k);
         text += &format!("FLASER 3 1.5 1.6 1.5 {x} 0.19 0 {x} 0.19 0 {time:.1} h 1\n");
     }
     let log = run(&text);

@@ -1,5 +1,7 @@
 //! Lidar messages whose stamps, frames, angles, ranges or point times are wrong.
 
+#![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
+
 mod common;
 
 use std::borrow::Cow;
@@ -122,7 +124,7 @@ fn drive(n: i64, scan_ns: impl Fn(i64) -> i64, pose_ns: impl Fn(i64) -> i64) -> 
 }
 
 fn note_codes(ingested: &Ingested) -> Vec<&'static str> {
-    let codes = ingested.notes.iter().map(|note| note.code());
+    let codes = ingested.notes.iter().map(dataset::Note::code);
     codes.filter(|code| !code.contains("deskewed")).collect()
 }
 
@@ -188,7 +190,7 @@ fn a_clock_that_is_set_is_reported_with_its_size() {
     let note = |messages: &[Recorded]| {
         let (_, ingested) = ingest(messages, &options()).unwrap();
         let note = ingested.notes.iter().find(|note| note.code().starts_with("stamp"));
-        note.map(|note| note.to_string()).unwrap_or_default()
+        note.map(ToString::to_string).unwrap_or_default()
     };
     let set = |by_ns: i64| move |k: i64| at(k) + if k < 40 { 0 } else { by_ns };
     let text = note(&drive(80, set(-3 * S), at));
@@ -403,7 +405,8 @@ fn cloud_message(frame: &str, cloud: &PointCloud<'_>, log_ns: i64, encoding: Enc
 /// The lidar drives with 2 m/s. Every driver's times give the same deskewed scan.
 #[test]
 fn point_times_of_every_driver_deskew_alike() {
-    let drivers: [(&str, Scalar, &dyn Fn(i64, f64) -> f64, usize); 8] = [
+    type Times<'a> = &'a dyn Fn(i64, f64) -> f64;
+    let drivers: [(&str, Scalar, Times<'_>, usize); 8] = [
         ("time", Scalar::F32, &|_, s| s, 0),
         ("t", Scalar::U32, &|_, s| s * 1e9, 0),
         ("t", Scalar::U32, &|_, s| s * 1e6, 1),
@@ -450,7 +453,8 @@ fn point_times_of_every_driver_deskew_alike() {
 
 #[test]
 fn clouds_without_usable_times_are_not_called_deskewed() {
-    let times: [(&dyn Fn(f64) -> f64, &[&str]); 2] =
+    type Times<'a> = &'a dyn Fn(f64) -> f64;
+    let times: [(Times<'_>, &[&str]); 2] =
         [(&|_| 0.0, &[]), (&|s| s * 1e14, &["point_times_implausible"])];
     for (time_of, expected) in times {
         let messages: Vec<Recorded> = (0..12)

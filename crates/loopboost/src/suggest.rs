@@ -257,7 +257,7 @@ fn write_others(text: &mut String, others: &[PoseCandidate<'_>]) -> fmt::Result 
         let comment = comment(Some(of));
         match &of.source {
             PoseSource::Topic(topic) => {
-                writeln!(text, "# pose.topic = {:?}{comment}", topic.topic)?
+                writeln!(text, "# pose.topic = {:?}{comment}", topic.topic)?;
             }
             PoseSource::Frames { parent, child, topics } => writeln!(
                 text,

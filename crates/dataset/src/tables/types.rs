@@ -113,12 +113,9 @@ fn segment_columns(
     let numbers = |of: fn((Option<f64>, u32, u32)) -> u32| -> ArrayRef {
         Arc::new(UInt32Array::from_iter_values(rows.clone().map(of)))
     };
-    let heights = rows.clone().map(|(z_m, ..)| z_m).collect::<Float64Array>();
-    [
-        ("z_m", Arc::new(heights)),
-        ("segment", numbers(|(_, segment, _)| segment)),
-        ("frame", numbers(|(.., frame)| frame)),
-    ]
+    let [segments, frames] = [numbers(|(_, segment, _)| segment), numbers(|(.., frame)| frame)];
+    let heights = rows.map(|(z_m, ..)| z_m).collect::<Float64Array>();
+    [("z_m", Arc::new(heights)), ("segment", segments), ("frame", frames)]
 }
 
 fn covariances(columns: &Columns<'_>) -> Result<Vec<Option<[f64; 6]>>> {

@@ -22,8 +22,8 @@ enum FeedSource {
     Frames(Frames, i64),
     /// Wheels, with or without an IMU.
     Wheels {
-        dead_reckoning: DeadReckoning,
-        wheels: LiveWheels,
+        dead_reckoning: Box<DeadReckoning>,
+        wheels: Box<LiveWheels>,
         gravity: GravityEstimate,
         /// 1, or -1 for a gyroscope that turns clockwise.
         gyro_sign: f64,
@@ -35,10 +35,10 @@ impl PoseFeed {
         let source = match (&options.frames, &options.wheels) {
             (Some(frames), _) => FeedSource::Frames(frames.clone(), i64::MIN),
             (None, Some(_)) => FeedSource::Wheels {
-                dead_reckoning: DeadReckoning::new(
+                dead_reckoning: Box::new(DeadReckoning::new(
                     options.track_m.filter(|_| options.imu.is_none()),
-                ),
-                wheels: LiveWheels::new(options),
+                )),
+                wheels: Box::new(LiveWheels::new(options)),
                 gravity: GravityEstimate::default(),
                 gyro_sign: 1f64.copysign(options.gyro_scale),
             },

@@ -254,7 +254,7 @@ mod tests {
         // From 1003.9 s to 1001.0 s.
         assert_eq!(
             observer.steps_back(),
-            [StampStep { log_ns: 1004_020_000_000, step_ns: -29 * S / 10 }]
+            [StampStep { log_ns: 1_004_020_000_000, step_ns: -29 * S / 10 }]
         );
     }
 
