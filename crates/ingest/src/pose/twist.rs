@@ -20,6 +20,12 @@ const CONTRADICTED: f64 = 0.25;
 /// Steps are compared with the twist over at most this time \[s\], in which the speed is about
 /// constant.
 const MAX_STEP_S: f64 = 1.0;
+/// Steps are added up for this time before they are compared \[s\]. The noise of the poses and of the
+/// twist is larger than a single step at 50 Hz, but much smaller than the motion in a second. A turn of
+/// a robot takes longer than this.
+const WINDOW_S: f64 = 1.0;
+/// A velocity along x and y below this is noise of a robot at rest \[m/s\].
+const AT_REST_M_S: f64 = 0.02;
 /// Largest share of the speed that can be sideways: above it, 2 % of the path would be lost. A base
 /// frame ahead of the wheels moves sideways in turns, by less than this.
 const MAX_SIDEWAYS_SHARE: f64 = 0.2;
@@ -62,21 +68,57 @@ impl OdometryReading {
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct TwistEvidence {
     last: Option<OdometryReading>,
-    /// Sum of the squared steps \[m^2\].
-    steps_m2: f64,
-    /// What is left of them \[m^2\].
-    left_child_m2: f64,
-    left_parent_m2: f64,
-    /// Sums over the steps: the squared turn by the twist, and its product with the turn of the poses
-    /// \[rad^2\].
-    turns_rad2: f64,
-    product_rad2: f64,
+    /// The windows that are complete, and the one at the end.
+    complete: Sums,
+    open: Window,
     /// Turn of the poses so far, and its smallest and largest value \[rad\].
     turned_rad: f64,
     least_rad: f64,
     most_rad: f64,
     /// Whether any twist is not 0.
     has_twist: bool,
+}
+
+/// The motion in a time of [`WINDOW_S`], by the poses and by the twist.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Window {
+    secs: f64,
+    /// By the poses \[m\].
+    moved_m: [f64; 2],
+    /// By the twist, as twist of the child or of the parent frame \[m\].
+    by_child_m: [f64; 2],
+    by_parent_m: [f64; 2],
+    /// By the twist, and by the poses \[rad\].
+    turn_rad: f64,
+    pose_turn_rad: f64,
+}
+
+/// Sums over windows.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+struct Sums {
+    /// Squared motion of the poses \[m^2\].
+    steps_m2: f64,
+    /// What is left of it \[m^2\].
+    left_child_m2: f64,
+    left_parent_m2: f64,
+    /// The squared turn by the twist, and its product with the turn of the poses \[rad^2\].
+    turns_rad2: f64,
+    product_rad2: f64,
+}
+
+impl Sums {
+    fn with(self, window: &Window) -> Self {
+        let squared = |[x, y]: [f64; 2]| x * x + y * y;
+        let left_m2 =
+            |by_m: [f64; 2]| squared([window.moved_m[0] - by_m[0], window.moved_m[1] - by_m[1]]);
+        Self {
+            steps_m2: self.steps_m2 + squared(window.moved_m),
+            left_child_m2: self.left_child_m2 + left_m2(window.by_child_m),
+            left_parent_m2: self.left_parent_m2 + left_m2(window.by_parent_m),
+            turns_rad2: self.turns_rad2 + window.turn_rad * window.turn_rad,
+            product_rad2: self.product_rad2 + window.turn_rad * window.pose_turn_rad,
+        }
+    }
 }
 
 /// The frame of a twist.
@@ -104,29 +146,38 @@ impl TwistEvidence {
             if !mean.iter().all(|v| v.is_finite()) {
                 return;
             }
-            let left_m2 = |[x, y]: [f64; 2]| {
-                let [dx, dy] = [step.moved_m[0] - x * step.secs, step.moved_m[1] - y * step.secs];
-                dx * dx + dy * dy
-            };
-            let by_child = rotated(mean, step.heading_rad);
+            let window = &mut self.open;
+            let add = |to: &mut [f64; 2], [x, y]: [f64; 2]| *to = [to[0] + x, to[1] + y];
+            let in_step = |[x, y]: [f64; 2]| [x * step.secs, y * step.secs];
+            add(&mut window.moved_m, step.moved_m);
+            add(&mut window.by_child_m, in_step(rotated(mean, step.heading_rad)));
+            add(&mut window.by_parent_m, in_step(mean));
             let turn = 0.5 * (last.yaw_rate_rad_s + next.yaw_rate_rad_s) * step.secs;
             if turn.is_finite() {
-                self.turns_rad2 += turn * turn;
-                self.product_rad2 += turn * step.turn_rad;
+                window.turn_rad += turn;
+                window.pose_turn_rad += step.turn_rad;
                 self.turned_rad += step.turn_rad;
                 self.least_rad = self.least_rad.min(self.turned_rad);
                 self.most_rad = self.most_rad.max(self.turned_rad);
             }
-            self.steps_m2 += step.length_m() * step.length_m();
-            self.left_child_m2 += left_m2(by_child);
-            self.left_parent_m2 += left_m2(mean);
+            window.secs += step.secs;
+            if WINDOW_S <= window.secs {
+                self.complete = self.sums();
+                self.open = Window::default();
+            }
         }
     }
 
+    /// The sums over all windows. The one at the end counts as well: a short drive has no other.
+    fn sums(&self) -> Sums {
+        self.complete.with(&self.open)
+    }
+
     fn frame(&self) -> TwistFrame {
-        let share = |left_m2: f64| left_m2 / self.steps_m2;
-        let (child, parent) = (share(self.left_child_m2), share(self.left_parent_m2));
-        if self.steps_m2 <= 0.0 || (child - parent).abs() < 0.01 {
+        let sums = self.sums();
+        let share = |left_m2: f64| left_m2 / sums.steps_m2;
+        let (child, parent) = (share(sums.left_child_m2), share(sums.left_parent_m2));
+        if sums.steps_m2 <= 0.0 || (child - parent).abs() < 0.01 {
             TwistFrame::Unknown
         } else if parent <= EXPLAINED && 4.0 * parent < child {
             TwistFrame::Parent
@@ -139,9 +190,10 @@ impl TwistEvidence {
 
     /// Turns of the poses over turns by the twist, if they are far from 1.
     fn wrong_turn_ratio(&self) -> Option<f64> {
-        let ratio = match self.turns_rad2 {
+        let sums = self.sums();
+        let ratio = match sums.turns_rad2 {
             0.0 => f64::INFINITY,
-            turns_rad2 => self.product_rad2 / turns_rad2,
+            turns_rad2 => sums.product_rad2 / turns_rad2,
         };
         let has_turned = MIN_TURN_RAD < self.most_rad - self.least_rad;
         (has_turned && !(1.0 / MAX_TURN_RATIO..=MAX_TURN_RATIO).contains(&ratio)).then_some(ratio)
@@ -155,7 +207,7 @@ impl TwistEvidence {
         reading: &OdometryReading,
         track_m: f64,
     ) -> Option<WheelSample> {
-        if !self.has_twist && 0.0 < self.steps_m2 {
+        if !self.has_twist && 0.0 < self.sums().steps_m2 {
             return speeds_of_step(last?, reading, track_m);
         }
         let [forward_m_s, _] = in_child_frame(reading, self.frame());
@@ -175,8 +227,8 @@ pub(crate) fn twist_speeds(
     readings.iter().for_each(|reading| evidence.add(reading, options.max_speed_m_s));
     let track_m = options.track_m.unwrap_or_default();
     let mut speeds = WheelSpeeds::default();
-    let path_m = evidence.steps_m2.sqrt();
-    if !evidence.has_twist && 0.0 < path_m {
+    let sums = evidence.sums();
+    if !evidence.has_twist && 0.0 < sums.steps_m2 {
         let pairs = readings.windows(2);
         let of_pair = |pair: &[OdometryReading]| speeds_of_step(&pair[0], &pair[1], track_m);
         speeds.samples = pairs.filter_map(of_pair).collect();
@@ -200,8 +252,10 @@ pub(crate) fn twist_speeds(
         let rate = reading.yaw_rate_rad_s;
         speeds.samples.push(WheelSample::from_twist(reading.stamp_ns, x, rate, track_m));
     }
+    let speed_m_s = f64::sqrt((forward + sideways) / n);
     let share = (sideways / (forward + sideways)).sqrt();
-    if MAX_SIDEWAYS_SHARE < share {
+    // The velocities of a robot at rest are noise, as large along y as along x.
+    if AT_REST_M_S < speed_m_s && MAX_SIDEWAYS_SHARE < share {
         return Err(WheelError::Sideways {
             forward_m_s: f64::sqrt(forward / n),
             sideways_m_s: f64::sqrt(sideways / n),
@@ -216,8 +270,8 @@ pub(crate) fn twist_speeds(
     match frame {
         TwistFrame::Parent => speeds.notes.push(NoteKind::TwistInParentFrame { parent, child }),
         TwistFrame::Neither => {
-            let left_m2 = evidence.left_child_m2.min(evidence.left_parent_m2);
-            let left_share = (left_m2 / evidence.steps_m2).sqrt();
+            let left_m2 = sums.left_child_m2.min(sums.left_parent_m2);
+            let left_share = (left_m2 / sums.steps_m2).sqrt();
             speeds.notes.push(NoteKind::TwistContradictsPoses { left_share });
         }
         TwistFrame::Child | TwistFrame::Unknown => {}
@@ -391,6 +445,40 @@ mod tests {
             let error = speeds(&with(|reading| reading.yaw_rate_rad_s *= factor)).unwrap_err();
             assert!(matches!(error, WheelError::TwistTurns { .. }), "{factor}: {error}");
         }
+    }
+
+    /// Numbers from -1 to 1 that look random, with a mean square of 1/3.
+    fn noise(k: usize) -> f64 {
+        let x = libm::sin(12.9898 * (k as f64 + 1.0)) * 43_758.545_3;
+        2.0 * (x - x.floor()) - 1.0
+    }
+
+    /// In 0.05 s the poses move by 5 cm and 0.005 rad. Their noise is 2 cm in x and y, and that of the
+    /// yaw rate is 0.2 rad/s, or 0.01 rad in 0.05 s.
+    #[test]
+    fn noise_that_is_larger_than_a_step_is_not_a_contradiction() {
+        let mut readings = circle();
+        for (k, reading) in readings.iter_mut().enumerate() {
+            let Pose2 { x_m, y_m, heading_rad } = reading.pose.unwrap();
+            let [x_m, y_m] = [x_m + 0.035 * noise(3 * k), y_m + 0.035 * noise(3 * k + 1)];
+            reading.pose = Some(Pose2 { x_m, y_m, heading_rad });
+            reading.yaw_rate_rad_s += 0.35 * noise(3 * k + 2);
+        }
+        let speeds = speeds(&readings).unwrap();
+        assert_eq!(speeds.notes, []);
+    }
+
+    /// Noise of the twist of 1 mm/s along x and y.
+    #[test]
+    fn a_robot_at_rest_does_not_move_sideways() {
+        let mut readings = circle();
+        let pose = readings[0].pose;
+        for (k, reading) in readings.iter_mut().enumerate() {
+            reading.pose = pose;
+            reading.velocity_m_s = [0.002 * noise(3 * k), 0.002 * noise(3 * k + 1)];
+            reading.yaw_rate_rad_s = 0.002 * noise(3 * k + 2);
+        }
+        assert_eq!(speeds(&readings).unwrap().notes, []);
     }
 
     /// In km/h: 1 m/s is 3.6, so 2.6 of 1 m is not explained.
