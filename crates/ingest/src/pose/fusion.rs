@@ -79,7 +79,9 @@ pub(crate) fn fused_poses(
     let mut wheels = wheel_speeds(readings, options).map_err(refuse)?;
     let has_joints = !readings.joints.is_empty();
     if wheels.samples.is_empty() && !has_joints && readings.odometry.is_empty() {
-        return Err(refuse(WheelError::NoWheels { losses: losses.clone() }));
+        let mut losses = losses.clone();
+        losses.merge(readings.without_wheels.clone().on_topic(topics.wheels));
+        return Err(refuse(WheelError::NoWheels { losses }));
     }
     check_sides(&wheels.samples).map_err(refuse)?;
     losses.merge(std::mem::take(&mut wheels.losses).on_topic(topics.wheels));

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use dataset::{LossKind, StampedPose};
+use dataset::{LossKind, Losses, StampedPose};
 use fuse::InertialReading;
 use messages::{
     MessageType, NavSatFix, Source, read_frame_ids, read_imu, read_joint_state, read_nav_sat_fix,
@@ -34,6 +34,9 @@ pub(crate) struct MotionReadings {
     pub(crate) transforms: TransformHistory,
     /// Joints of the wheels.
     pub(crate) joints: Vec<JointReading>,
+    /// Messages without wheels. They are a loss only if no message has wheels: the joints of an arm
+    /// often come in messages of their own.
+    pub(crate) without_wheels: Losses,
     /// Odometry messages. Their twist is used.
     pub(crate) odometry: Vec<OdometryReading>,
     /// Number of these messages by parent and child frame.
@@ -147,13 +150,17 @@ impl MotionReadings {
         let message =
             read_joint_state(source, data).map_err(|error| undecodable(source, &error))?;
         let names = || message.names.join(", ");
-        let found = WheelJoints::find(&message.names, wheels).map_err(|fault| match fault {
-            JointFault::None => LossKind::NoWheelJoints { joints: names() },
-            JointFault::Unequal { n_left, n_right } => {
-                let (n_left, n_right) = (n_left as u64, n_right as u64);
-                LossKind::UnequalWheelJoints { n_left, n_right, joints: names() }
+        let found = match WheelJoints::find(&message.names, wheels) {
+            Ok(found) => found,
+            Err(JointFault::None) => {
+                self.without_wheels.add(LossKind::NoWheelJoints { joints: names() }, 1);
+                return Ok(());
             }
-        })?;
+            Err(JointFault::Unequal { n_left, n_right }) => {
+                let (n_left, n_right) = (n_left as u64, n_right as u64);
+                return Err(LossKind::UnequalWheelJoints { n_left, n_right, joints: names() });
+            }
+        };
         let of_wheels = |values: &[f64]| -> Vec<f64> {
             let all = found.left.iter().chain(&found.right).map(|&k| values.get(k).copied());
             all.collect::<Option<_>>().unwrap_or_default()
@@ -186,6 +193,7 @@ impl MotionReadings {
         );
         self.fixes.extend(later.fixes.into_iter().map(|(fix, frame)| (fix, of(frame))));
         self.joints.extend(later.joints);
+        self.without_wheels.merge(later.without_wheels);
         self.odometry.extend(later.odometry);
         for (frames, n) in later.odometry_frames {
             *self.odometry_frames.entry(frames).or_default() += n;
@@ -301,10 +309,17 @@ mod tests {
         assert!(Arc::ptr_eq(&first.joints, &second.joints));
     }
 
+    /// They can be those of an arm, next to the messages of the wheels.
     #[test]
-    fn joints_without_a_left_and_a_right_wheel_are_refused() {
+    fn joints_without_wheels_are_counted_apart() {
         let mut readings = MotionReadings::default();
-        let error = add_joints(&mut readings, &["arm", "gripper"], &[1.0, 2.0], &[]).unwrap_err();
-        assert_eq!(error, LossKind::NoWheelJoints { joints: "arm, gripper".to_owned() });
+        add_joints(&mut readings, &["arm", "gripper"], &[1.0, 2.0], &[]).unwrap();
+        let mut later = MotionReadings::default();
+        add_joints(&mut later, &["arm", "gripper"], &[1.0, 2.0], &[]).unwrap();
+        readings.extend(later);
+        assert!(readings.joints.is_empty());
+        let mut expected = Losses::default();
+        expected.add(LossKind::NoWheelJoints { joints: "arm, gripper".to_owned() }, 2);
+        assert_eq!(readings.without_wheels, expected);
     }
 }
