@@ -18,6 +18,11 @@ const ONE_TURN_RAD: f64 = TAU + 1e-3;
 const MAX_STEP_RAD: f64 = 0.75 * PI;
 /// A time between two messages is longer than usual if it is more than this many times the median.
 const LONG_STEP: f64 = 1.5;
+/// Messages within this share of the mean time between two messages are a burst: they waited somewhere,
+/// and were stamped on arrival. Times of drivers that stamp at the measurement vary by less.
+const BURST_SHARE: f64 = 0.25;
+/// Longer times between two messages are pauses, which do not count in the mean \[ns\].
+const PAUSE_NS: i64 = 1_000_000_000;
 /// A step of a joint is a jump if it is this many times the usual step, and neither of its
 /// neighbours is a third as long. The speed of a robot changes within several messages.
 const JUMP: f64 = 5.0;
@@ -92,12 +97,9 @@ pub(crate) fn joint_speeds(
     };
     let mut sets: BTreeMap<&JointSet, Vec<&JointReading>> = BTreeMap::new();
     for reading in readings {
+        // Joints with a less clear name are those of an arm. The notes list the ones that are used.
         if reading.joints.naming == best {
             sets.entry(&reading.joints).or_default().push(reading);
-        } else {
-            let joints =
-                [reading.joints.left.as_slice(), &reading.joints.right].concat().join(", ");
-            speeds.losses.add(LossKind::NoWheelJoints { joints }, 1);
         }
     }
     for (set, readings) in &sets {
@@ -166,6 +168,25 @@ fn add_set(
     }
 }
 
+/// The last message of each burst. Positions add up, so that it has the motion of the others as well.
+fn last_of_bursts<'a>(readings: &[&'a JointReading]) -> Vec<&'a JointReading> {
+    let times = readings.windows(2).map(|pair| pair[1].stamp_ns.saturating_sub(pair[0].stamp_ns));
+    let times: Vec<i64> = times.filter(|ns| (0..=PAUSE_NS).contains(ns)).collect();
+    let mean_ns = times.iter().sum::<i64>() as f64 / times.len() as f64;
+    let mut kept: Vec<&JointReading> = Vec::new();
+    let mut start_ns = None;
+    for &reading in readings {
+        let since = start_ns.map(|start_ns| reading.stamp_ns.saturating_sub(start_ns));
+        if since.is_some_and(|ns| 0 <= ns && (ns as f64) < BURST_SHARE * mean_ns) {
+            kept.pop();
+        } else {
+            start_ns = Some(reading.stamp_ns);
+        }
+        kept.push(reading);
+    }
+    kept
+}
+
 /// The steps of the joints of a set from message to message.
 struct Positions {
     /// Stamps at the start and the end \[ns\], and the step of each joint; `None` for a step that
@@ -191,10 +212,10 @@ impl Positions {
     fn new(readings: &[&JointReading], options: &PoseOptions) -> Option<Self> {
         let n_left = readings.first()?.joints.left.len();
         let n_joints = readings.iter().map(|reading| reading.positions.len()).max()?;
-        let is_complete = |reading: &&&JointReading| {
+        let is_complete = |reading: &&JointReading| {
             reading.positions.len() == n_joints && reading.positions.iter().all(|p| p.is_finite())
         };
-        let complete: Vec<&&JointReading> = readings.iter().filter(is_complete).collect();
+        let complete: Vec<&JointReading> = readings.iter().copied().filter(is_complete).collect();
         if n_joints <= n_left || complete.len() < 2 {
             return None;
         }
@@ -202,6 +223,8 @@ impl Positions {
             let pairs = complete.windows(2);
             pairs.filter(|pair| is_it(pair[0].stamp_ns, pair[1].stamp_ns)).count() as u64
         };
+        let (n_repeated, n_back) = (n_with(|from, to| from == to), n_with(|from, to| to < from));
+        let complete = last_of_bursts(&complete);
         let pairs = complete.windows(2).filter(|pair| pair[0].stamp_ns < pair[1].stamp_ns);
         let steps = pairs.map(|pair| {
             let steps = pair[0].positions.iter().zip(&pair[1].positions).map(|(a, b)| b - a);
@@ -217,8 +240,8 @@ impl Positions {
             n_joints,
             n_wraps: 0,
             n_dropped: 0,
-            n_repeated: n_with(|from, to| from == to),
-            n_back: n_with(|from, to| to < from),
+            n_repeated,
+            n_back,
             ambiguous_rad: None,
             period_s,
         };
@@ -530,14 +553,45 @@ mod tests {
         check(&readings, &["wheel_position_jumps"]);
     }
 
-    /// The joints of another publisher are named less clearly.
+    /// Positions at 100 Hz that arrive four at a time, 20 us apart, with arrival as the stamp.
     #[test]
-    fn joints_of_another_publisher_are_dropped_and_counted() {
+    fn positions_that_arrive_in_bursts_are_used() {
+        let in_bursts = |message: &dyn Fn([f64; 2]) -> Vec<f64>| {
+            let mut readings = made_at(100.0, Naming::Wheel, &|a, _| (message(a), vec![]));
+            for (k, reading) in (0..).zip(&mut readings) {
+                reading.stamp_ns = k / 4 * 40_000_000 + k % 4 * 20_000;
+            }
+            readings
+        };
+        let readings = in_bursts(&|angles| angles.to_vec());
+        check(&readings, &[]);
+        assert_eq!(joint_speeds(&readings, &options()).unwrap().samples.len(), 750);
+        check(&in_bursts(&|a| a.map(wrapped).to_vec()), &["wheel_positions_unwrapped"]);
+    }
+
+    /// Messages at 100 Hz before a slow part, or before a pause, are not a burst.
+    #[test]
+    fn fast_messages_before_slow_ones_are_kept() {
+        let mut readings = made_at(100.0, Naming::Wheel, &|angles, _| (angles.to_vec(), vec![]));
+        let all = readings.iter().collect::<Vec<_>>();
+        let slow = all.iter().enumerate().filter(|(k, _)| *k < 200 || k % 50 == 0);
+        let slow: Vec<_> = slow.map(|(_, reading)| *reading).collect();
+        let longest = last_of_bursts(&slow).windows(2).map(|w| w[1].stamp_ns - w[0].stamp_ns).max();
+        assert_eq!(longest, Some(500_000_000));
+        let n_early = last_of_bursts(&slow).iter().filter(|r| r.stamp_ns < 2_000_000_000).count();
+        assert!(50 < n_early, "{n_early}");
+        readings.iter_mut().skip(1000).for_each(|reading| reading.stamp_ns += 3_600_000_000_000);
+        assert_eq!(last_of_bursts(&readings.iter().collect::<Vec<_>>()).len(), readings.len());
+    }
+
+    /// The joints of another publisher are named less clearly. The robot can have an arm.
+    #[test]
+    fn joints_of_another_publisher_are_not_used() {
         let mut readings = made(&|_, rates| (vec![], rates.to_vec()));
         let others = made_at(20.0, Naming::Side, &|_, _| (vec![], vec![0.0; 2]));
         for (k, other) in others.into_iter().enumerate() {
             readings.insert(2 * k, other);
         }
-        check(&readings, &["no_wheel_joints"]);
+        check(&readings, &[]);
     }
 }

@@ -13,6 +13,10 @@ use crate::pose::readings::MotionReadings;
 use crate::pose::twist::{OdometryReading, TwistEvidence};
 use crate::pose_options::PoseOptions;
 
+/// Positions within this time of the last ones are left out \[ns\]: messages that are stamped on arrival
+/// can come in bursts. The speed of a robot changes more slowly.
+const MIN_STEP_NS: i64 = 10_000_000;
+
 /// Computes wheel speeds message by message.
 #[derive(Debug)]
 pub(crate) struct LiveWheels {
@@ -76,10 +80,14 @@ impl LiveWheels {
         });
         let live = &mut self.joints[at];
         live.has_velocities |= reading.velocities.iter().any(|v| v.is_finite() && *v != 0.0);
-        let last = live.last.replace(reading.clone());
         if live.has_velocities || reading.positions.is_empty() {
             return reading.speeds(self.scale);
         }
+        let since_ns = |last: &JointReading| reading.stamp_ns.saturating_sub(last.stamp_ns);
+        if live.last.as_ref().is_some_and(|last| (0..MIN_STEP_NS).contains(&since_ns(last))) {
+            return None;
+        }
+        let last = live.last.replace(reading.clone());
         let last = last.filter(|last| last.positions.len() == reading.positions.len())?;
         let dt_ns = reading.stamp_ns.saturating_sub(last.stamp_ns);
         let steps = last.positions.iter().zip(&reading.positions).map(|(&from, &to)| {
@@ -147,6 +155,19 @@ mod tests {
             reading(40, &[1.2, 1.1], &[10.0, 5.0]),
         ];
         check(both, &[(10, 0.0, 0.0), (40, 1.0, 0.5)]);
+    }
+
+    /// Two messages at a time, 1 ms apart: the wheels turn by 0.2 and 0.1 rad in 100 ms.
+    #[test]
+    fn positions_that_arrive_in_bursts_are_used() {
+        let bursts = vec![
+            reading(0, &[0.1, 0.05], &[]),
+            reading(1, &[0.2, 0.1], &[]),
+            reading(100, &[0.3, 0.15], &[]),
+            reading(101, &[0.4, 0.2], &[]),
+            reading(200, &[0.5, 0.25], &[]),
+        ];
+        check(bursts, &[(50, 0.2, 0.1), (150, 0.2, 0.1)]);
     }
 
     /// From 3 rad to -3 rad the left wheel turned by 2 pi - 6 rad. A step that is faster than 15 m/s is
