@@ -1,7 +1,7 @@
 //! Jumps: steps between poses that the robot cannot have driven, judged by its own speed.
 //!
-//! A step is a jump if it is longer than the robot drives in the same time at twice its own speed, by more than 1 m, and if the motion before or after does not explain it either: a vehicle
-//! that accelerates keeps its new speed, and a pose that jumps does not.
+//! A step is a jump if it is longer than the robot drives in the same time at twice its own speed, by more than 1 m, and if the motion before and after does not explain it either: a vehicle
+//! that accelerates has a speed between the two, and a pose that jumps does not.
 
 use dataset::StampedPose;
 
@@ -28,6 +28,9 @@ const FAST_FACTOR: f64 = 1.5;
 /// this factor. The height of a satellite receiver is noisy: with normal errors, 95 % of the changes are
 /// within 2.8 standard deviations, and a change of four times that does not occur by chance.
 const HEIGHT_NOISE_FACTOR: f64 = 4.0;
+
+/// The velocity of a vehicle changes by at most this \[m/s^2\]: tyres on a dry road slip at about 1 g.
+const MAX_ACCELERATION_M_S2: f64 = 10.0;
 
 /// Speeds are measured over at least this time \[ns\], because the time between two stamps can be
 /// much shorter than the time between the measurements.
@@ -177,14 +180,7 @@ impl OwnSpeed {
         if !jumps && !climbs {
             return None;
         }
-        let step = [b.pose.x_m - a.pose.x_m, b.pose.y_m - a.pose.y_m, climb_m(a, b)];
-        let mut steady = [velocity(poses, k - 1, false), velocity(poses, k, true)]
-            .map(|v| v.map(|v| std::array::from_fn(|i| step[i] - v[i] * secs(a, b))))
-            .into_iter()
-            .flatten();
-        let is_steady =
-            |[x, y, z]: [f64; 3]| (x * x + y * y).sqrt() <= MIN_JUMP_M && z.abs() <= MIN_JUMP_M;
-        if !is_restart && steady.any(is_steady) {
+        if !is_restart && is_steady(poses, k) {
             return None;
         }
         Some(if jumps { Jump::Position } else { Jump::Height })
@@ -205,6 +201,37 @@ impl OwnSpeed {
         let is_origin = b.pose.x_m == 0.0 && b.pose.y_m == 0.0 && b.pose.heading_rad == 0.0;
         is_origin && PAUSE * self.period_s < secs(a, b) && MIN_JUMP_M < a.pose.distance_m(&b.pose)
     }
+}
+
+/// Whether the motion before or after the step to pose `k`, or a motion between the two, explains the step
+/// up to [`MIN_JUMP_M`].
+fn is_steady(poses: &[StampedPose], k: usize) -> bool {
+    let (a, b) = (&poses[k - 1], &poses[k]);
+    let s = secs(a, b);
+    let step = [b.pose.x_m - a.pose.x_m, b.pose.y_m - a.pose.y_m, climb_m(a, b)];
+    let explains = |[x, y, z]: [f64; 3]| {
+        let (dx, dy) = (step[0] - x, step[1] - y);
+        (dx * dx + dy * dy).sqrt() <= MIN_JUMP_M && (step[2] - z).abs() <= MIN_JUMP_M
+    };
+    let [before, after] = [velocity(poses, k - 1, false), velocity(poses, k, true)]
+        .map(|velocity| velocity.map(|v| v.map(|v| v * s)));
+    // A vehicle that accelerates is faster than before, and slower than after.
+    let is_between = |(before, after): ([f64; 3], [f64; 3])| {
+        let (dx, dy) = (after[0] - before[0], after[1] - before[1]);
+        let squared = dx * dx + dy * dy;
+        // The two velocities are means over up to a window each: their times are half a window before
+        // and half a window after the step.
+        let between_s = s + WINDOW_NS as f64 * 1e-9;
+        if squared == 0.0 || MAX_ACCELERATION_M_S2 * between_s * s < squared.sqrt() {
+            return false;
+        }
+        let along = (step[0] - before[0]) * dx + (step[1] - before[1]) * dy;
+        let share = (along / squared).clamp(0.0, 1.0);
+        explains(std::array::from_fn(|i| before[i] + share * (after[i] - before[i])))
+    };
+    before.is_some_and(explains)
+        || after.is_some_and(explains)
+        || before.zip(after).is_some_and(is_between)
 }
 
 /// The mean velocity along x, y and z before pose `at`, or after it, over up to [`WINDOW_NS`] \[m/s\].
@@ -321,6 +348,32 @@ mod tests {
             })
             .collect();
         assert_eq!(jumps(at), []);
+    }
+
+    /// A car that is parked for 30 min, and then speeds up to 15 m/s and brakes at 2.5 m/s^2, with poses at
+    /// 1 Hz. Each step is 2.5 m longer than the step before, and the noise at rest makes its own speed low.
+    /// A jump of 20 m while it accelerates is still found, and so is a pose that is 20 m off.
+    #[test]
+    fn acceleration_and_braking_are_no_jumps() {
+        let x_m = |s: f64| match s - 1800.0 {
+            s if s < 0.0 => 0.15 * s.rem_euclid(2.0),
+            s if s < 6.0 => 1.25 * s * s,
+            s if s < 12.0 => 45.0 + 15.0 * (s - 6.0),
+            s if s < 18.0 => 180.0 - 1.25 * (18.0 - s) * (18.0 - s),
+            _ => 180.0,
+        };
+        let off = |from: i32, to: i32| {
+            let times = (0..1900).map(|k| (f64::from(k), k));
+            jumps(
+                times.map(|(s, k)| (s, x_m(s) + if (from..to).contains(&k) { 20.0 } else { 0.0 })),
+            )
+        };
+        assert_eq!(off(0, 0), []);
+        for to in [1804, 1900] {
+            assert!(off(1803, to).contains(&(1803, Jump::Position)), "{:?}", off(1803, to));
+        }
+        assert!(off(1803, 1804).contains(&(1804, Jump::Position)));
+        assert_eq!(off(1810, 1900), [(1810, Jump::Position)], "at constant speed");
     }
 
     /// The stamps of a recorder that writes the ten poses of a second at once, of a vehicle at 20 m/s. A
