@@ -23,9 +23,13 @@ const MIN_DIFFERENCE_M: f64 = 1.0;
 const MAX_STEPS: usize = 8;
 /// See [`MAX_STEPS`] \[ns\].
 const IRREGULAR_NS: i64 = 2_000_000_000;
-/// Largest number of poses after a step back that are compared with those before. This bounds the time that a
-/// log with many steps takes.
+/// Largest number of poses on each side of a step back that are compared. They are spread over the whole
+/// common time, because the robot may stand still in a part of it, which shows nothing.
 const MAX_COMPARED: usize = 500;
+/// Poses after a step back that are looked at for their common time with those before: 16 min at 200 Hz.
+/// With every step found it becomes less, down to [`MAX_COMPARED`]. This bounds the time that a log with
+/// many steps takes.
+const MAX_LOOKED_AT: usize = 200_000;
 
 /// The pieces of poses in the order of the file.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -52,8 +56,9 @@ impl ClockPieces {
             }
             let back = poses[at..].iter().take_while(|p| p.stamp_ns < newest_ns);
             let back_ns = newest_ns.saturating_sub(pose.stamp_ns);
-            let compared = &poses[at..at + back.clone().take(MAX_COMPARED).count()];
-            if LATE_NS < back_ns && is_clock_step(&poses[start..at], compared) {
+            let n_looked_at = (MAX_LOOKED_AT / (1 + found.steps_ns.len())).max(MAX_COMPARED);
+            let looked_at = &poses[at..at + back.clone().take(n_looked_at).count()];
+            if LATE_NS < back_ns && is_clock_step(&poses[start..at], looked_at) {
                 found.pieces.push(start..at);
                 found.steps_ns.push(back_ns);
                 (start, newest_ns) = (at, pose.stamp_ns);
@@ -135,9 +140,16 @@ fn is_clock_step(before: &[StampedPose], back: &[StampedPose]) -> bool {
     // The poses before are in order of time, except for late ones, so this is nearly exact.
     let common = &before[before.partition_point(|p| p.stamp_ns < first_ns)..];
     let common = &common[..common.partition_point(|p| p.stamp_ns <= last_ns)];
-    let mut by_stamp: Vec<StampedPose> = common.iter().chain(back).copied().collect();
+    let [common, back] = [common, back].map(thinned);
+    let in_file_m = path_m(&common) + path_m(&back);
+    let mut by_stamp = [common, back].concat();
     by_stamp.sort_by_key(|p| p.stamp_ns);
-    LONGER * (path_m(common) + path_m(back)) < path_m(&by_stamp)
+    LONGER * in_file_m < path_m(&by_stamp)
+}
+
+/// Up to [`MAX_COMPARED`] of the poses, spread evenly.
+fn thinned(poses: &[StampedPose]) -> Vec<StampedPose> {
+    poses.iter().step_by(poses.len().div_ceil(MAX_COMPARED).max(1)).copied().collect()
 }
 
 fn path_m(poses: &[StampedPose]) -> f64 {
@@ -226,6 +238,24 @@ mod tests {
             let n_late = if n_pieces == 1 { n_steps as u64 } else { 0 };
             assert_eq!(found.n_late, n_late, "{n_steps} {step}");
         }
+    }
+
+    /// The robot stands for 250 s. Meanwhile, the clock steps back by 150 s, 100 s before the robot drives
+    /// away. These 100 s have more poses than are compared.
+    #[test]
+    fn a_clock_that_steps_back_while_the_robot_stands_starts_a_piece() {
+        let place = |at: i64| if at < 3000 { at.min(500) } else { at - 2500 };
+        let times = (0..6000).map(|at| (if at < 2000 { at } else { at - 1500 }, place(at)));
+        check(&poses(times), &[0..2000, 2000..6000], 0, &[(500, 1999)]);
+    }
+
+    /// 2000 poses are late by 250 s, and 3000 poses occur twice: more than are compared.
+    #[test]
+    fn many_late_poses_are_no_step() {
+        let order = (0..1000).chain(3000..5500).chain(1000..3000).chain(5500..6000);
+        check(&poses(order.map(|t| (t, t))), &[0..6000], 1, &[]);
+        let order = (0..5000).chain(2000..7000);
+        check(&poses(order.map(|t| (t, t))), &[0..10_000], 1, &[]);
     }
 
     /// Stamps that only go down are late, not one piece each.
