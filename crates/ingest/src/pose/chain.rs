@@ -43,7 +43,7 @@ pub(crate) fn poses(mut links: Vec<ChainLink>, most_frequent: usize) -> ChainPos
     let mut found = ChainPoses::default();
     found.leave_out_repeated_times(&mut links, driving, most_frequent);
     for link in &mut links {
-        link.recorded = link.recorded.sorted();
+        link.recorded = std::mem::take(&mut link.recorded).sorted();
     }
     let stamps_ns: Vec<i64> = links[most_frequent].recorded.stamps_ns().collect();
     let mut lookup = Lookup { corrections: vec![None; links.len()], links, driving };

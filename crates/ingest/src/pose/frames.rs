@@ -187,22 +187,22 @@ impl TransformHistory {
     }
 
     /// The poses of the child frame in the parent frame, at the stamps of the transform with the most
-    /// samples.
+    /// samples. This takes the samples out of the history.
     ///
     /// If the z axis of the child frame points down, it is an error unless `upside_down` is set.
     pub(crate) fn poses(
-        &self,
+        &mut self,
         parent: &str,
         child: &str,
         upside_down: bool,
     ) -> Result<ChainPoses, LookupError> {
         let chain = self.chain(parent, child).ok_or(LookupError::NotConnected)?;
         let most_frequent = self.most_frequent(&chain).ok_or(LookupError::Static)?;
-        let link = |link: &Link| ChainLink {
+        let links = chain.iter().map(|link| ChainLink {
             is_inverted: link.is_inverted,
-            recorded: self.recorded[&link.edge].clone(),
-        };
-        let found = chain::poses(chain.iter().map(link).collect(), most_frequent);
+            recorded: self.recorded.get_mut(&link.edge).map(std::mem::take).unwrap_or_default(),
+        });
+        let found = chain::poses(links.collect(), most_frequent);
         match upside_down {
             false if found.poses.len() < 2 * found.n_down => Err(LookupError::UpsideDown),
             _ => Ok(found),

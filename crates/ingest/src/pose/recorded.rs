@@ -68,16 +68,15 @@ impl RecordedTransform {
     }
 
     /// The same samples in order of time.
-    pub(crate) fn sorted(&self) -> Self {
-        let mut sorted = self.clone();
-        sorted.samples.sort_by_key(|(stamp_ns, _)| *stamp_ns);
-        let pairs = sorted.samples.windows(2);
+    pub(crate) fn sorted(mut self) -> Self {
+        self.samples.sort_by_key(|(stamp_ns, _)| *stamp_ns);
+        let pairs = self.samples.windows(2);
         let mut periods_ns: Vec<i64> = pairs.map(|p| p[1].0.saturating_sub(p[0].0)).collect();
         periods_ns.sort_unstable();
         let at = (PERIOD_SHARE * periods_ns.len().saturating_sub(1) as f64) as usize;
         let period_ns = periods_ns.get(at).copied().unwrap_or(0);
-        sorted.gap_ns = period_ns.saturating_mul(GAP_PERIODS).max(MIN_GAP_NS);
-        sorted
+        self.gap_ns = period_ns.saturating_mul(GAP_PERIODS).max(MIN_GAP_NS);
+        self
     }
 
     /// The samples, in the order of the log.

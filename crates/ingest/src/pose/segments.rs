@@ -63,33 +63,45 @@ impl Segmented {
 /// of the topic. `repeated_ns` are intervals of time that are known to occur twice; they contain no
 /// poses.
 pub(crate) fn segments(
-    poses: &[StampedPose],
+    poses: Vec<StampedPose>,
     options: &SegmentOptions,
     mut repeated_ns: Vec<(i64, i64)>,
 ) -> Segmented {
-    let clock = ClockPieces::of(poses);
-    let mut pieces = Vec::new();
+    let clock = ClockPieces::of(&poses);
+    repeated_ns.extend(clock.repeated_ns(&poses));
+    repeated_ns.sort_unstable();
+    let late = NoteKind::PosesReordered { n_poses: clock.n_late };
+    let clock_notes = (0 < clock.n_late).then_some(late).into_iter().chain(clock.note(&poses));
     let mut n_duplicates = 0;
-    for piece in &clock.pieces {
-        let mut sorted = poses[piece.clone()].to_vec();
-        sorted.sort_by_key(|p| p.stamp_ns); // stable
-        let before = sorted.len();
-        sorted.dedup_by_key(|p| p.stamp_ns);
-        n_duplicates += before - sorted.len();
-        pieces.push(sorted);
+    let starts: Vec<usize> = clock.pieces.iter().skip(1).map(|piece| piece.start).collect();
+    let mut pieces = split(poses, &starts);
+    for piece in &mut pieces {
+        piece.sort_by_key(|p| p.stamp_ns); // stable
+        let before = piece.len();
+        piece.dedup_by_key(|p| p.stamp_ns);
+        n_duplicates += before - piece.len();
     }
     let runs = || pieces.iter().flat_map(|piece| piece.chunk_by(|a, b| a.frame == b.frame));
     let own = OwnSpeed::of(runs(), options.max_speed_m_s);
     let mut found = Found { own, options: *options, ..Found::default() };
-    for piece in &pieces {
+    for piece in pieces {
         found.last_of_file = found.last_of_piece.take();
-        for run in piece.chunk_by(|a, b| a.frame == b.frame) {
+        let is_start = |k: &usize| piece[k - 1].frame != piece[*k].frame;
+        let starts: Vec<usize> = (1..piece.len()).filter(is_start).collect();
+        for run in split(piece, &starts) {
             found.add_run(run);
         }
     }
-    repeated_ns.extend(clock.repeated_ns(poses));
-    repeated_ns.sort_unstable();
-    found.finish(&clock, &repeated_ns, n_duplicates as u64, poses)
+    found.finish(clock_notes, &repeated_ns, n_duplicates as u64)
+}
+
+/// Splits poses before some indices, which ascend. The poses are moved, because hours of poses need
+/// hundreds of megabytes.
+fn split(mut poses: Vec<StampedPose>, starts: &[usize]) -> Vec<Vec<StampedPose>> {
+    let mut parts: Vec<_> = starts.iter().rev().map(|start| poses.split_off(*start)).collect();
+    parts.push(poses);
+    parts.reverse();
+    parts
 }
 
 /// A part of the poses without a jump.
@@ -126,7 +138,7 @@ impl Default for SegmentOptions {
 
 impl Found {
     /// Adds poses in order of time, all in one frame of the topic.
-    fn add_run(&mut self, run: &[StampedPose]) {
+    fn add_run(&mut self, run: Vec<StampedPose>) {
         let Some(name) = run.first().map(|p| p.frame) else { return };
         let parts = self.without_outliers(parts(run, &self.own));
         let mut previous: Option<StampedPose> = None;
@@ -230,10 +242,9 @@ impl Found {
     /// Removes the poses at repeated times, and sorts the rest by stamp.
     fn finish(
         mut self,
-        clock: &ClockPieces,
+        clock_notes: impl Iterator<Item = NoteKind>,
         repeated_ns: &[(i64, i64)],
         n_duplicates: u64,
-        in_file: &[StampedPose],
     ) -> Segmented {
         let n_all = self.poses.len();
         let n_after = |stamp_ns: i64| repeated_ns.partition_point(|(_, to_ns)| *to_ns < stamp_ns);
@@ -249,10 +260,7 @@ impl Found {
         losses.add(LossKind::PoseOutliers, self.n_outliers);
         losses.add(LossKind::PosesAtRepeatedTimes, n_repeated);
         let mut notes = self.notes();
-        if 0 < clock.n_late {
-            notes.push(NoteKind::PosesReordered { n_poses: clock.n_late });
-        }
-        notes.extend(clock.note(in_file));
+        notes.extend(clock_notes);
         let n_outliers = self.n_outliers as usize;
         let n_contradictory = n_outliers + self.jumps.len();
         let n_poses = n_all + n_outliers;
@@ -336,18 +344,10 @@ impl Jumps {
 }
 
 /// Splits poses at their jumps.
-fn parts(run: &[StampedPose], own: &OwnSpeed) -> Vec<Part> {
-    let mut parts = vec![Part::default()];
-    let mut jumps = own.jumps(run).into_iter().peekable();
-    for (k, pose) in run.iter().enumerate() {
-        if let Some((_, jump)) = jumps.next_if(|(at, _)| *at == k) {
-            parts.push(Part { jump: Some(jump), poses: Vec::new() });
-        }
-        if let Some(part) = parts.last_mut() {
-            part.poses.push(*pose);
-        }
-    }
-    parts
+fn parts(run: Vec<StampedPose>, own: &OwnSpeed) -> Vec<Part> {
+    let (starts, jumps): (Vec<usize>, Vec<Jump>) = own.jumps(&run).into_iter().unzip();
+    let jumps = std::iter::once(None).chain(jumps.into_iter().map(Some));
+    jumps.zip(split(run, &starts)).map(|(jump, poses)| Part { poses, jump }).collect()
 }
 
 /// Whether a part is too short to be a segment.
@@ -407,23 +407,23 @@ mod tests {
 
     #[test]
     fn a_continuous_drive_is_one_segment() {
-        let found = segments(&drive(100, |_, p| p), &OPTIONS, vec![]);
+        let found = segments(drive(100, |_, p| p), &OPTIONS, vec![]);
         assert_eq!(pieces(&found), [(100, 0)]);
         assert!(found.losses.is_empty() && found.notes.is_empty());
-        assert_eq!(segments(&[], &OPTIONS, vec![]), Segmented::default());
+        assert_eq!(segments(vec![], &OPTIONS, vec![]), Segmented::default());
     }
 
     #[test]
     fn a_jump_starts_a_segment_in_a_new_frame_or_in_the_same() {
         let jumps = drive(200, |k, p| shifted(p, if k < 80 { 0.0 } else { 5.0 }));
-        let found = segments(&jumps, &OPTIONS, vec![]);
+        let found = segments(jumps.clone(), &OPTIONS, vec![]);
         assert_eq!(pieces(&found), [(80, 0), (120, 1)]);
         assert!(matches!(
             found.notes[0],
             NoteKind::PoseJumps { n_jumps: 1, stamp_ns: 15_800_000_000, same_frame: false, .. }
         ));
         let options = SegmentOptions { same_frame: true, ..OPTIONS };
-        assert_eq!(pieces(&segments(&jumps, &options, vec![])), [(80, 0), (120, 0)]);
+        assert_eq!(pieces(&segments(jumps, &options, vec![])), [(80, 0), (120, 0)]);
     }
 
     /// A satellite receiver under a bridge: one fix, or all fixes of 3 s, are 40 m off. 8 s are too
@@ -436,7 +436,7 @@ mod tests {
             let off = drive(200, |k, p| {
                 shifted(p, if (100..100 + n_off).contains(&k) { 40.0 } else { 0.0 })
             });
-            let found = segments(&off, &OPTIONS, vec![]);
+            let found = segments(off, &OPTIONS, vec![]);
             assert_eq!(pieces(&found), expected);
             let n_outliers = if n_off < 40 { n_off as u64 } else { 0 };
             assert_eq!(found.losses.count("pose_outliers"), n_outliers);
@@ -454,7 +454,7 @@ mod tests {
                 _ if k < second => shifted(p, 4.0),
                 _ => shifted(p, 9.0),
             });
-            segments(&poses, &OPTIONS, vec![])
+            segments(poses, &OPTIONS, vec![])
         };
         assert_eq!(pieces(&corrected(105)), [(100, 0), (95, 1)]);
         let found = corrected(115);
@@ -465,7 +465,7 @@ mod tests {
     #[test]
     fn a_first_pose_at_another_place_is_an_outlier() {
         let start = drive(100, |k, p| if k < 2 { p } else { shifted(p, 30.0) });
-        let found = segments(&start, &OPTIONS, vec![]);
+        let found = segments(start, &OPTIONS, vec![]);
         assert_eq!(pieces(&found), [(98, 0)]);
         assert_eq!(found.losses.count("pose_outliers"), 2);
         assert!(found.notes.is_empty());
@@ -480,7 +480,7 @@ mod tests {
                 _ => StampedPose { stamp_ns: p.stamp_ns - 6_000_000_000, ..shifted(p, shift_m) },
             })
         };
-        let found = segments(&stepped(0.0), &OPTIONS, vec![]);
+        let found = segments(stepped(0.0), &OPTIONS, vec![]);
         assert_eq!(found.losses.count("poses_at_repeated_times"), 60);
         assert_eq!(pieces(&found), [(70, 0), (70, 0)]);
         assert!(matches!(
@@ -488,7 +488,7 @@ mod tests {
             [NoteKind::PoseClockStepsBack { n_steps: 1, stamp_ns: 14_000_000_000, .. }]
         ));
         // The simulation starts again at another place.
-        assert_eq!(pieces(&segments(&stepped(50.0), &OPTIONS, vec![])), [(70, 0), (70, 1)]);
+        assert_eq!(pieces(&segments(stepped(50.0), &OPTIONS, vec![])), [(70, 0), (70, 1)]);
     }
 
     /// The localiser is off for a while, and the poses are in the frame of the odometry.
@@ -496,7 +496,7 @@ mod tests {
     fn a_change_of_the_frame_starts_a_segment_and_a_frame_can_return() {
         let changed =
             drive(200, |k, p| StampedPose { frame: u32::from((100..150).contains(&k)), ..p });
-        let found = segments(&changed, &OPTIONS, vec![]);
+        let found = segments(changed, &OPTIONS, vec![]);
         assert_eq!(pieces(&found), [(100, 0), (50, 1), (50, 0)]);
         assert!(found.notes.is_empty() && found.losses.is_empty());
     }
@@ -505,7 +505,7 @@ mod tests {
     #[test]
     fn alternating_poses_are_a_contradiction() {
         let two = drive(200, |k, p| shifted(p, if k % 2 == 0 { 0.0 } else { 20.0 }));
-        let (n, n_poses) = segments(&two, &OPTIONS, vec![]).contradiction().unwrap();
+        let (n, n_poses) = segments(two, &OPTIONS, vec![]).contradiction().unwrap();
         assert!(99 <= n && n_poses <= 200, "{n} of {n_poses}");
     }
 
@@ -515,7 +515,7 @@ mod tests {
         let mut poses = drive(50, |_, p| p);
         poses.swap(10, 11);
         poses.push(pose(9.8, 7.0, 7.0));
-        let found = segments(&poses, &OPTIONS, vec![]);
+        let found = segments(poses, &OPTIONS, vec![]);
         assert_eq!(pieces(&found), [(50, 0)]);
         assert_eq!(found.losses.count("duplicate_pose_stamps"), 1);
         assert_eq!(found.notes, [NoteKind::PosesReordered { n_poses: 1 }]);

@@ -45,7 +45,7 @@ pub(crate) fn trajectory(
     let robot_poses = match (source.topics, &options.frames) {
         (PoseTopics::Frames(_), Some(frames)) => {
             let found =
-                source.poses_from_transforms(&readings.transforms, frames, losses, notes)?;
+                source.poses_from_transforms(&mut readings.transforms, frames, losses, notes)?;
             repeated_ns = found.repeated_ns;
             found.poses
         }
@@ -67,7 +67,7 @@ pub(crate) fn trajectory(
     };
     source.check_frames(&names, &robot_poses, losses, notes)?;
     let segment_options = SegmentOptions { max_speed_m_s: options.max_speed_m_s, same_frame };
-    let mut segmented = segments(&robot_poses, &segment_options, repeated_ns);
+    let mut segmented = segments(robot_poses, &segment_options, repeated_ns);
     losses.merge(std::mem::take(&mut segmented.losses).on_topic(main_topic));
     if let Some((n_contradictory, n_poses)) = segmented.contradiction() {
         return Err(source.contradictory(n_contradictory, n_poses));
@@ -77,8 +77,9 @@ pub(crate) fn trajectory(
     if is_fixes {
         gnss::set_courses(&mut segmented.poses);
     }
-    let robot_poses = segmented.poses.iter();
-    let lidar_poses = robot_poses.map(|robot| lidar_pose(robot, &source.base_from_lidar)).collect();
+    let robot_poses = segmented.poses.into_iter();
+    let lidar_poses =
+        robot_poses.map(|robot| lidar_pose(&robot, &source.base_from_lidar)).collect();
     let (trajectory, _) = Trajectory::new(lidar_poses);
     if trajectory.poses().is_empty() {
         return Err(source.no_poses(losses));
@@ -96,7 +97,7 @@ impl PoseSource<'_> {
     /// Poses of the child frame in the parent frame.
     fn poses_from_transforms(
         &self,
-        transforms: &TransformHistory,
+        transforms: &mut TransformHistory,
         frames: &Frames,
         losses: &mut Losses,
         notes: &mut Vec<Note>,

@@ -10,7 +10,7 @@ use crate::survey::report::PosesSurvey;
 pub(crate) fn poses_survey(poses: &[StampedPose]) -> (PosesSurvey, Losses) {
     let PoseOptions { max_speed_m_s, .. } = PoseOptions::default();
     let options = SegmentOptions { max_speed_m_s, same_frame: false };
-    let segmented = segments(poses, &options, Vec::new());
+    let segmented = segments(poses.to_vec(), &options, Vec::new());
     let mut remarks: Vec<String> = segmented.notes.iter().map(ToString::to_string).collect();
     if let Some((n_contradictory, n_poses)) = segmented.contradiction() {
         remarks.push(format!(
