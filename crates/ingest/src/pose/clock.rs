@@ -81,7 +81,8 @@ impl ClockPieces {
     /// One piece, in which every pose that is earlier than the pose before is late.
     fn irregular(poses: &[StampedPose]) -> Self {
         let n_late = poses.windows(2).filter(|pair| pair[1].stamp_ns < pair[0].stamp_ns).count();
-        Self { pieces: vec![0..poses.len()], n_late: n_late as u64, steps_ns: Vec::new() }
+        let pieces = std::iter::once(0..poses.len()).collect();
+        Self { pieces, n_late: n_late as u64, steps_ns: Vec::new() }
     }
 
     /// A note with the number of steps and the largest one, if there are any.
@@ -157,6 +158,7 @@ fn path_m(poses: &[StampedPose]) -> f64 {
 }
 
 #[cfg(test)]
+#[allow(clippy::single_range_in_vec_init, reason = "one piece is a list with one range")]
 mod tests {
     use super::*;
     use dataset::Pose2;

@@ -309,7 +309,7 @@ impl Step {
         let secs = to.stamp_ns.saturating_sub(from.stamp_ns) as f64 * 1e-9;
         let turn_rad = dataset::wrap_angle(b.heading_rad - a.heading_rad);
         let moved_m = [b.x_m - a.x_m, b.y_m - a.y_m];
-        (0.0 < secs).then(|| Self {
+        (0.0 < secs).then_some(Self {
             secs,
             moved_m,
             turn_rad,
