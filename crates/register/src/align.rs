@@ -1,0 +1,259 @@
+//! Point-to-line alignment of points with a target.
+
+use dataset::{Pose2, wrap_angle};
+use nalgebra::{Matrix2, Matrix3, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::points::{Motion, Points};
+use crate::target::Target;
+
+/// How points are aligned.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct AlignOptions {
+    /// The most iterations.
+    pub max_iterations: u32,
+    /// A point and its partner are at most this far apart in the first iteration \[m\].
+    pub first_gate_m: f64,
+    /// The same in the sixth iteration and after it \[m\]. The gate shrinks linearly.
+    pub last_gate_m: f64,
+    /// Residuals above this value count linearly instead of quadratically (Huber) \[m\].
+    pub huber_m: f64,
+    /// Standard deviation of the distance of a point from the line of its partner \[m\].
+    pub noise_m: f64,
+    /// Number of points that count as one independent measurement. Neighbouring returns share the
+    /// errors of the range and of the surface.
+    pub points_per_measurement: f64,
+}
+
+impl Default for AlignOptions {
+    fn default() -> Self {
+        Self {
+            max_iterations: 15,
+            first_gate_m: 0.5,
+            last_gate_m: 0.2,
+            huber_m: 0.04,
+            noise_m: 0.03,
+            points_per_measurement: 4.0,
+        }
+    }
+}
+
+/// What is known about a pose before the alignment: a mean, and the inverse of the covariance of x, y
+/// and heading.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Prior {
+    /// The mean.
+    pub pose: Pose2,
+    /// The inverse covariance, `(3, 3)` \[1/m^2, 1/(m rad), 1/rad^2\].
+    pub information: Matrix3<f64>,
+}
+
+impl Prior {
+    /// A prior with independent errors of these standard deviations.
+    pub fn independent(pose: Pose2, std_x_m: f64, std_y_m: f64, std_heading_rad: f64) -> Self {
+        let weights = Vector3::new(std_x_m, std_y_m, std_heading_rad).map(|std| 1.0 / (std * std));
+        Self { pose, information: Matrix3::from_diagonal(&weights) }
+    }
+
+    /// A prior without information. Directions in which the points say nothing stay at `pose`.
+    pub fn none(pose: Pose2) -> Self {
+        Self { pose, information: Matrix3::zeros() }
+    }
+}
+
+/// The result of an alignment.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Alignment {
+    /// The estimated pose.
+    pub target_from_source: Pose2,
+    /// Inverse covariance of x, y and heading from the points alone, for `noise_m`, `(3, 3)`.
+    pub information: Matrix3<f64>,
+    /// Inverse covariance of the prior, `(3, 3)`.
+    pub prior_information: Matrix3<f64>,
+    /// Number of points with a partner in the last iteration.
+    pub n_partners: usize,
+    /// Root mean square of the distances from the lines of the partners, each at most `huber_m`
+    /// \[m\].
+    pub rms_m: f64,
+    /// Share of the points with a target point within [`NEAR_M`].
+    pub near_share: f64,
+}
+
+/// A point with a target point within this distance is explained \[m\].
+pub const NEAR_M: f64 = 0.1;
+
+/// The direction in which the points determine the position worst.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Weakness {
+    /// Smallest over largest information about the position, 0 to 1. 0 in an empty corridor, 0.5 and
+    /// more in a room.
+    pub ratio: f64,
+    /// Direction with the least information, in the frame of the target \[rad\], 0 to pi.
+    pub direction_rad: f64,
+}
+
+impl Alignment {
+    /// Covariance of x, y and heading from points and prior together. `None` if neither says anything
+    /// about a direction.
+    ///
+    /// The noise of the points is `noise_m`, or larger if their residuals are.
+    pub fn covariance(&self, options: &AlignOptions) -> Option<Matrix3<f64>> {
+        let excess = (self.rms_m / options.noise_m).max(1.0);
+        let information = self.information / (excess * excess) + self.prior_information;
+        information.cholesky().map(|factor| factor.inverse())
+    }
+
+    /// The direction in which the points determine the position worst, with the heading eliminated
+    /// (Schur complement). `None` without points that have a partner.
+    pub fn weakness(&self) -> Option<Weakness> {
+        let heading = self.information[(2, 2)];
+        if self.n_partners == 0 || heading.is_nan() || heading <= 0.0 {
+            return None;
+        }
+        let mixed = self.information.fixed_view::<2, 1>(0, 2);
+        let position: Matrix2<f64> =
+            self.information.fixed_view::<2, 2>(0, 0) - mixed * mixed.transpose() / heading;
+        let (xx, xy, yy) = (position[(0, 0)], position[(0, 1)], position[(1, 1)]);
+        let radius = libm::hypot((xx - yy) / 2.0, xy);
+        let (most, least) = ((xx + yy) / 2.0 + radius, (xx + yy) / 2.0 - radius);
+        let most_rad = libm::atan2(2.0 * xy, xx - yy) / 2.0;
+        let direction_rad =
+            (most_rad + std::f64::consts::FRAC_PI_2).rem_euclid(std::f64::consts::PI);
+        Some(Weakness { ratio: (least / most).max(0.0), direction_rad })
+    }
+}
+
+/// The iteration in which the gate reaches its last value.
+const LAST_GATE_ITERATION: u32 = 5;
+/// The smallest cosine of the angle between the normals of a point and its partner: 60 deg.
+const MIN_NORMAL_COS: f64 = 0.5;
+/// An iteration that changes the pose by less than this sum is the last one \[m + rad\].
+const CONVERGED: f64 = 2e-4;
+/// Added to the diagonal of the information, so that directions without any information stay.
+const DAMPING: f64 = 1e-6;
+
+/// Sums over the pairs of points and partners at one pose.
+struct Sums {
+    /// Sum of w J^T J.
+    information: Matrix3<f64>,
+    /// Sum of w r J^T.
+    gradient: Vector3<f64>,
+    n_partners: usize,
+    /// Sum of the squared residuals, each at most `huber_m`.
+    squares_m2: f64,
+}
+
+/// Aligns points with a target by Gauss-Newton on the distances from the lines of their partners
+/// (point-to-line, Censi 2008, "An ICP variant using a point-to-line metric"), with Huber weights and
+/// a prior.
+///
+/// The partner of a point is the nearest target point within the gate. A pair counts if the target
+/// point has a normal n, and if the normal of the point, if it has one, is within 60 deg of n. The
+/// residual is n . (R q + t - p) for the point q and its partner p. In directions without information
+/// from the points, the pose stays at the prior.
+///
+/// # Panics
+/// If `first_gate_m` or [`NEAR_M`] is more than the reach of the target (in debug builds).
+pub fn align(
+    source: &Points,
+    target: &Target,
+    start: &Pose2,
+    prior: &Prior,
+    options: &AlignOptions,
+) -> Alignment {
+    let mut pose = *start;
+    let mut sums = sum_pairs(source, target, &pose, options.first_gate_m, options);
+    for iteration in 0..options.max_iterations {
+        if 0 < iteration {
+            sums = sum_pairs(source, target, &pose, gate_m(iteration, options), options);
+        }
+        let from_prior = Vector3::new(
+            pose.x_m - prior.pose.x_m,
+            pose.y_m - prior.pose.y_m,
+            wrap_angle(pose.heading_rad - prior.pose.heading_rad),
+        );
+        let information =
+            sums.information + prior.information + Matrix3::from_diagonal_element(DAMPING);
+        let gradient = sums.gradient + prior.information * from_prior;
+        // The information is positive definite because of the damping.
+        let Some(factor) = information.cholesky() else { break };
+        let step = factor.solve(&gradient);
+        pose.x_m -= step[0];
+        pose.y_m -= step[1];
+        pose.heading_rad = wrap_angle(pose.heading_rad - step[2]);
+        if LAST_GATE_ITERATION < iteration && step.abs().sum() < CONVERGED {
+            break;
+        }
+    }
+    let n = sums.n_partners;
+    Alignment {
+        target_from_source: pose,
+        information: sums.information,
+        prior_information: prior.information,
+        n_partners: n,
+        rms_m: libm::sqrt(sums.squares_m2 / n.max(1) as f64),
+        near_share: near_share(source, target, &pose, NEAR_M),
+    }
+}
+
+/// The gate of an iteration \[m\].
+fn gate_m(iteration: u32, options: &AlignOptions) -> f64 {
+    let share = f64::from(iteration.min(LAST_GATE_ITERATION)) / f64::from(LAST_GATE_ITERATION);
+    options.first_gate_m + share * (options.last_gate_m - options.first_gate_m)
+}
+
+/// Share of the points that have a target point within `near_m`. 0 without points.
+pub fn near_share(source: &Points, target: &Target, pose: &Pose2, near_m: f64) -> f64 {
+    let motion = Motion::new(pose);
+    let is_near = |&&q: &&[f64; 2]| target.nearest(motion.point(q), near_m).is_some();
+    let n_near = source.positions_m.iter().filter(is_near).count();
+    n_near as f64 / source.len().max(1) as f64
+}
+
+fn sum_pairs(
+    source: &Points,
+    target: &Target,
+    pose: &Pose2,
+    gate_m: f64,
+    options: &AlignOptions,
+) -> Sums {
+    let motion = Motion::new(pose);
+    let weight = 1.0 / (options.noise_m * options.noise_m * options.points_per_measurement);
+    let mut sums = Sums {
+        information: Matrix3::zeros(),
+        gradient: Vector3::zeros(),
+        n_partners: 0,
+        squares_m2: 0.0,
+    };
+    let [mut xx, mut xy, mut xh, mut yy, mut yh, mut hh] = [0.0; 6];
+    for (&q, normal) in source.positions_m.iter().zip(&source.normals) {
+        let turned = motion.direction(q);
+        let moved = [turned[0] + pose.x_m, turned[1] + pose.y_m];
+        let Some(partner) = target.nearest(moved, gate_m) else { continue };
+        let Some(n) = target.points().normals[partner] else { continue };
+        if let Some(normal) = *normal {
+            let m = motion.direction(normal);
+            if m[0] * n[0] + m[1] * n[1] < MIN_NORMAL_COS {
+                continue;
+            }
+        }
+        let p = target.points().positions_m[partner];
+        let residual_m = (moved[0] - p[0]) * n[0] + (moved[1] - p[1]) * n[1];
+        let w = weight / (residual_m.abs() / options.huber_m).max(1.0);
+        // Derivative of the residual with respect to the heading.
+        let h = n[1] * turned[0] - n[0] * turned[1];
+        xx += w * n[0] * n[0];
+        xy += w * n[0] * n[1];
+        xh += w * n[0] * h;
+        yy += w * n[1] * n[1];
+        yh += w * n[1] * h;
+        hh += w * h * h;
+        sums.gradient += Vector3::new(n[0], n[1], h) * (w * residual_m);
+        sums.n_partners += 1;
+        sums.squares_m2 += (residual_m * residual_m).min(options.huber_m * options.huber_m);
+    }
+    sums.information = Matrix3::new(xx, xy, xh, xy, yy, yh, xh, yh, hh);
+    sums
+}

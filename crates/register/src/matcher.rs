@@ -1,0 +1,258 @@
+//! Scan matching along a drive: each scan against the scans of the last metres.
+
+use std::collections::VecDeque;
+
+use dataset::Pose2;
+use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
+
+use crate::align::{AlignOptions, Alignment, Prior, Weakness, align, near_share};
+use crate::correlate::{BlurredMap, Preference, Window, search};
+use crate::points::Points;
+use crate::target::Target;
+
+/// How the scans of a drive are matched.
+///
+/// The standard deviations of the odometry belong to one step between two keyframes. Values for a robot
+/// with bad wheels do little harm to a robot with good ones, because the points usually say more.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct MatcherOptions {
+    /// The target consists of the keyframes of the last metres of the path \[m\].
+    pub target_path_m: f64,
+    /// The most keyframes in the target.
+    pub max_keyframes: u32,
+    /// Squares of this size keep one point of the target each \[m\].
+    pub target_voxel_m: f64,
+    /// Target points farther from the expected position than this, along x or y, are left out \[m\].
+    pub target_half_width_m: f64,
+    /// Standard deviation of the position after a step, per metre of path.
+    pub odometry_std_per_m: f64,
+    /// The same, independent of the path \[m\].
+    pub odometry_std_m: f64,
+    /// Standard deviation of the heading, per square root of the path \[deg/sqrt(m)\].
+    pub odometry_std_deg_per_sqrt_m: f64,
+    /// The same, independent of the path \[deg\].
+    pub odometry_std_deg: f64,
+    /// The search for a start covers at most this distance on either side of the odometry \[m\].
+    pub search_m: f64,
+    /// The search for a start covers this angle on either side of the odometry \[deg\].
+    pub search_deg: f64,
+    /// If less than this share of the points is near the target after the alignment, more starts are
+    /// tried.
+    pub enough_near_share: f64,
+    /// The alignment.
+    pub align: AlignOptions,
+}
+
+impl Default for MatcherOptions {
+    fn default() -> Self {
+        Self {
+            target_path_m: 8.0,
+            max_keyframes: 60,
+            target_voxel_m: 0.05,
+            target_half_width_m: 20.0,
+            odometry_std_per_m: 0.15,
+            odometry_std_m: 0.02,
+            odometry_std_deg_per_sqrt_m: 5.0,
+            odometry_std_deg: 0.57,
+            search_m: 0.3,
+            search_deg: 20.0,
+            enough_near_share: 0.9,
+            align: AlignOptions::default(),
+        }
+    }
+}
+
+/// The pose of a keyframe from scan matching.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Matched {
+    /// Pose of the lidar in the frame of the first odometry pose.
+    pub pose: Pose2,
+    /// Covariance of x, y and heading relative to the keyframes of the target, in the frame of `pose`'s
+    /// map, `(3, 3)`. `None` for the first keyframe, which has no error by definition.
+    pub covariance: Option<Matrix3<f64>>,
+    /// Share of the points that are near a point of the target. 1 for the first keyframe.
+    pub near_share: f64,
+    /// The direction in which the points determine the position worst. `None` without a target.
+    pub weakness: Option<Weakness>,
+}
+
+struct MatchedKeyframe {
+    pose: Pose2,
+    points: Points,
+    path_m: f64,
+}
+
+/// Matches the keyframes of a drive one after the other.
+pub struct ScanMatcher {
+    options: MatcherOptions,
+    /// The keyframes of the target, oldest first.
+    recent: VecDeque<MatchedKeyframe>,
+    last_odometry: Pose2,
+    path_m: f64,
+}
+
+/// Squares of the blurred map \[m\], and its standard deviation \[m\].
+const MAP_SQUARE_M: f64 = 0.05;
+const MAP_BLUR_M: f64 = 0.1;
+/// One point per square of this size takes part in the search for a start \[m\].
+const SEARCH_VOXEL_M: f64 = 0.1;
+/// The search for a start needs this many points.
+const MIN_SEARCH_POINTS: usize = 10;
+/// Reductions of the score per squared metre and squared radian away from the odometry: an offset of
+/// 0.3 m costs as much as 1.4 % of the points.
+const PREFERENCE: f64 = 0.15;
+/// The path that counts for the odometry error at least \[m\]: a robot that turns in place has one, too.
+const MIN_STEP_M: f64 = 0.02;
+/// The same for the error of the heading \[m\].
+const MIN_TURN_STEP_M: f64 = 0.05;
+
+impl ScanMatcher {
+    /// A matcher without keyframes.
+    pub fn new(options: MatcherOptions) -> Self {
+        Self { options, recent: VecDeque::new(), last_odometry: Pose2::default(), path_m: 0.0 }
+    }
+
+    /// Matches the next keyframe: its points in the lidar frame and the pose of the lidar by odometry.
+    ///
+    /// Only the motion since the last keyframe is used from the odometry.
+    pub fn add(&mut self, points: Points, odometry: &Pose2) -> Matched {
+        let Some(last) = self.recent.back() else {
+            self.last_odometry = *odometry;
+            let matched =
+                Matched { pose: *odometry, covariance: None, near_share: 1.0, weakness: None };
+            self.recent.push_back(MatchedKeyframe { pose: *odometry, points, path_m: 0.0 });
+            return matched;
+        };
+        let step = self.last_odometry.inverse() * *odometry;
+        let step_m = libm::hypot(step.x_m, step.y_m);
+        let expected = last.pose * step;
+        let prior = self.prior(expected, step_m);
+        let target_points = self.target_points(&expected);
+        let start = self.start(&points, &target_points, &expected, step_m);
+        let reach_m = self.options.align.first_gate_m.max(crate::NEAR_M);
+        let target = Target::new(target_points, reach_m);
+        let aligned = self.best_alignment(&points, &target, &start, &prior);
+        self.last_odometry = *odometry;
+        self.path_m += step_m;
+        let pose = aligned.target_from_source;
+        self.recent.push_back(MatchedKeyframe { pose, points, path_m: self.path_m });
+        self.forget();
+        Matched {
+            pose,
+            covariance: aligned.covariance(&self.options.align),
+            near_share: aligned.near_share,
+            weakness: aligned.weakness(),
+        }
+    }
+
+    /// The odometry after a step as a prior.
+    fn prior(&self, expected: Pose2, step_m: f64) -> Prior {
+        let options = &self.options;
+        let std_m = options.odometry_std_per_m * step_m.max(MIN_STEP_M) + options.odometry_std_m;
+        let std_deg = options.odometry_std_deg_per_sqrt_m * libm::sqrt(step_m.max(MIN_TURN_STEP_M))
+            + options.odometry_std_deg;
+        Prior::independent(expected, std_m, std_m, std_deg.to_radians())
+    }
+
+    /// The points of the recent keyframes around the expected position. Of the points in a square, the
+    /// newest one with a normal is kept.
+    fn target_points(&self, expected: &Pose2) -> Points {
+        let half_m = self.options.target_half_width_m;
+        let mut target = Points::default();
+        for keyframe in self.recent.iter().rev() {
+            target.extend_from(&keyframe.pose, &keyframe.points);
+        }
+        target.retain(|[x, y]| {
+            (x - expected.x_m).abs() < half_m && (y - expected.y_m).abs() < half_m
+        });
+        target.thin(self.options.target_voxel_m)
+    }
+
+    /// A start for the alignment: the best pose around the odometry, first in coarse and then in fine
+    /// steps.
+    fn start(&self, points: &Points, target: &Points, expected: &Pose2, step_m: f64) -> Pose2 {
+        let sample = points.thin(SEARCH_VOXEL_M);
+        if sample.len() < MIN_SEARCH_POINTS {
+            return *expected;
+        }
+        let map = BlurredMap::new(target, MAP_SQUARE_M, MAP_BLUR_M);
+        let preference = Preference { pose: *expected, per_m2: PREFERENCE, per_rad2: PREFERENCE };
+        let half_width_m = self.options.search_m.min(0.1 + 0.5 * step_m);
+        let coarse = Window {
+            centre: *expected,
+            half_width_m,
+            step_m: 0.1,
+            half_turn_rad: self.options.search_deg.to_radians(),
+            step_rad: 1.5f64.to_radians(),
+        };
+        let found = search(&map, &sample, &coarse, &preference);
+        let fine = Window {
+            centre: found.pose,
+            half_width_m: 0.08,
+            step_m: 0.04,
+            half_turn_rad: 1.5f64.to_radians(),
+            step_rad: 0.5f64.to_radians(),
+        };
+        search(&map, &sample, &fine, &preference).pose
+    }
+
+    /// Aligns from the start, and from more starts if that explains too few points. The alignment that
+    /// explains most points is the result.
+    fn best_alignment(
+        &self,
+        points: &Points,
+        target: &Target,
+        start: &Pose2,
+        prior: &Prior,
+    ) -> Alignment {
+        let options = &self.options.align;
+        let mut best = align(points, target, start, prior, options);
+        // The share at the result of the first alignment decides, so that good drives cost no more.
+        if self.options.enough_near_share <= best.near_share {
+            return best;
+        }
+        let share_before = near_share(points, target, &prior.pose, crate::NEAR_M);
+        for offset in MORE_STARTS {
+            let [x_m, y_m, heading_rad] = offset;
+            let other = prior.pose * Pose2 { x_m, y_m, heading_rad };
+            let aligned = align(points, target, &other, prior, options);
+            let gain = aligned.near_share - best.near_share;
+            if MIN_GAIN < gain && share_before < aligned.near_share {
+                best = aligned;
+            }
+        }
+        best
+    }
+
+    /// Forgets keyframes that are no longer part of the target. The last one is kept.
+    fn forget(&mut self) {
+        let from_m = self.path_m - self.options.target_path_m;
+        let is_old = |k: &MatchedKeyframe| k.path_m < from_m;
+        while self.recent.len() > 1
+            && (self.recent.front().is_some_and(is_old)
+                || self.recent.len() > self.options.max_keyframes.max(1) as usize)
+        {
+            self.recent.pop_front();
+        }
+    }
+}
+
+/// Another start must explain this much more of the points.
+const MIN_GAIN: f64 = 0.02;
+/// More starts, relative to the odometry: x forward \[m\], y left \[m\], heading \[rad\].
+const MORE_STARTS: [[f64; 3]; 11] = [
+    [0.5, 0.0, 0.0],
+    [-0.5, 0.0, 0.0],
+    [-1.0, 0.0, 0.0],
+    [0.0, 0.35, 0.0],
+    [0.0, -0.35, 0.0],
+    [0.0, 0.0, 0.1],
+    [0.0, 0.0, -0.1],
+    [0.0, 0.0, 0.2],
+    [0.0, 0.0, -0.2],
+    [0.0, 0.0, 0.35],
+    [0.0, 0.0, -0.35],
+];

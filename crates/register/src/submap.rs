@@ -1,0 +1,227 @@
+//! Submaps: which squares around a node are occupied, free or unknown.
+
+use dataset::{Pose2, Scan};
+use serde::{Deserialize, Serialize};
+
+use crate::points::Motion;
+
+/// How submaps are made.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct SubmapOptions {
+    /// Side of a square \[m\].
+    pub square_m: f64,
+    /// Squares per side of the submap. The node is in the middle.
+    pub n_squares: u32,
+    /// Returns farther than this are not used \[m\].
+    pub max_range_m: f64,
+    /// The space of a ray is free up to this distance before its return \[m\].
+    pub free_margin_m: f64,
+    /// A square is occupied if it has at least this many hits per scan that sees through it. Smaller
+    /// values keep people, larger ones lose thin objects.
+    pub min_hits_per_free: f64,
+    /// Angle of the sectors in which the nearest return limits the free space \[deg\].
+    pub sector_deg: f64,
+}
+
+impl Default for SubmapOptions {
+    fn default() -> Self {
+        Self {
+            square_m: 0.4,
+            n_squares: 128,
+            max_range_m: 15.0,
+            free_margin_m: 0.5,
+            min_hits_per_free: 0.35,
+            sector_deg: 2.0,
+        }
+    }
+}
+
+/// A scan of a submap.
+#[derive(Debug, Clone, Copy)]
+pub struct Member<'a> {
+    /// The pose of the scan in the frame of the node.
+    pub node_from_scan: Pose2,
+    /// The scan.
+    pub scan: &'a Scan,
+}
+
+/// What is known about a square.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Square {
+    /// It contains a surface.
+    Occupied,
+    /// The sensor has seen through it, and no neighbour is occupied.
+    Free,
+    /// Not seen, or next to something occupied.
+    Unknown,
+}
+
+/// A map of squares around a node.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Submap {
+    square_m: f64,
+    n_squares: usize,
+    /// Row-major, x first, `(n_squares, n_squares)`.
+    squares: Vec<Square>,
+}
+
+impl Submap {
+    /// Joins scans. The result does not depend on the order of the scans.
+    ///
+    /// A square is occupied if `hits >= min_hits_per_free * free`, where `hits` and `free` are the
+    /// numbers of scans that have a return in it, and that see through it. In a sector without a return
+    /// nothing is free: the beam may have met glass, or something too far away.
+    ///
+    /// # Panics
+    /// If the options have no squares or sectors.
+    pub fn new(members: &[Member<'_>], options: &SubmapOptions) -> Self {
+        let n = options.n_squares as usize;
+        assert!(0 < n && 0.0 < options.square_m, "a submap has squares");
+        let mut counts = Counts { hits: vec![0; n * n], free: vec![0; n * n] };
+        let mut last_hit = vec![u32::MAX; n * n];
+        let mut nearest_m = vec![f64::INFINITY; sectors(options)];
+        for (member, number) in members.iter().zip(0..) {
+            count_hits(member, number, options, &mut counts.hits, &mut last_hit);
+            nearest_returns(member.scan, options, &mut nearest_m);
+            count_free(member, options, &nearest_m, &mut counts.free);
+        }
+        let is_occupied = |k: usize| {
+            let (hits, free) = (counts.hits[k], counts.free[k]);
+            0 < hits && options.min_hits_per_free * f64::from(free) <= f64::from(hits)
+        };
+        let occupied: Vec<bool> = (0..n * n).map(is_occupied).collect();
+        let squares = (0..n * n).map(|k| match occupied[k] {
+            true => Square::Occupied,
+            false if 0 < counts.free[k] && !has_neighbour(&occupied, n, k) => Square::Free,
+            false => Square::Unknown,
+        });
+        Self { square_m: options.square_m, n_squares: n, squares: squares.collect() }
+    }
+
+    /// Squares per side.
+    pub fn n_squares(&self) -> usize {
+        self.n_squares
+    }
+
+    /// Side of a square \[m\].
+    pub fn square_m(&self) -> f64 {
+        self.square_m
+    }
+
+    /// All squares, row-major, x first, `(n_squares, n_squares)`.
+    pub fn squares(&self) -> &[Square] {
+        &self.squares
+    }
+
+    /// The square at a position in the frame of the node. [`Square::Unknown`] outside the submap.
+    pub fn at(&self, position_m: [f64; 2]) -> Square {
+        index(position_m, self.n_squares, self.square_m)
+            .map_or(Square::Unknown, |k| self.squares[k])
+    }
+
+    /// The centres of the squares of a kind \[m\], in the frame of the node.
+    pub fn centres(&self, kind: Square) -> impl Iterator<Item = [f64; 2]> + '_ {
+        let of_kind = self.squares.iter().enumerate().filter(move |(_, square)| **square == kind);
+        of_kind.map(|(k, _)| {
+            centre_m([k / self.n_squares, k % self.n_squares], self.n_squares, self.square_m)
+        })
+    }
+}
+
+struct Counts {
+    hits: Vec<u32>,
+    free: Vec<u32>,
+}
+
+fn sectors(options: &SubmapOptions) -> usize {
+    assert!(0.0 < options.sector_deg && options.sector_deg <= 360.0, "a submap has sectors");
+    libm::ceil(360.0 / options.sector_deg) as usize
+}
+
+fn index([x, y]: [f64; 2], n: usize, square_m: f64) -> Option<usize> {
+    let along = |v: f64| v / square_m + n as f64 / 2.0;
+    let (a, b) = (along(x), along(y));
+    // False for NaN.
+    let is_inside = 0.0 <= a && 0.0 <= b && a < n as f64 && b < n as f64;
+    is_inside.then(|| a as usize * n + b as usize)
+}
+
+fn centre_m(square: [usize; 2], n: usize, square_m: f64) -> [f64; 2] {
+    square.map(|k| (k as f64 + 0.5 - n as f64 / 2.0) * square_m)
+}
+
+/// Counts each square with a return once.
+fn count_hits(
+    member: &Member<'_>,
+    number: u32,
+    options: &SubmapOptions,
+    hits: &mut [u32],
+    last_hit: &mut [u32],
+) {
+    let motion = Motion::new(&member.node_from_scan);
+    for p in member.scan.points() {
+        // False for NaN.
+        let is_used = libm::hypot(p[0], p[1]) < options.max_range_m;
+        let square = index(motion.point(p), options.n_squares as usize, options.square_m);
+        if let Some(k) = square.filter(|&k| is_used && last_hit[k] != number) {
+            last_hit[k] = number;
+            hits[k] += 1;
+        }
+    }
+}
+
+/// The range of the nearest return in each sector and its two neighbours; 0 in a sector without a
+/// return.
+fn nearest_returns(scan: &Scan, options: &SubmapOptions, nearest_m: &mut [f64]) {
+    let n = nearest_m.len();
+    let mut ranges_m = vec![f64::INFINITY; n];
+    for p in scan.points() {
+        let range_m = libm::hypot(p[0], p[1]);
+        if range_m < options.max_range_m {
+            let range = &mut ranges_m[sector(p, n)];
+            *range = range.min(range_m);
+        }
+    }
+    for k in 0..n {
+        let around = [ranges_m[(k + n - 1) % n], ranges_m[k], ranges_m[(k + 1) % n]];
+        nearest_m[k] = match ranges_m[k].is_finite() {
+            true => around.into_iter().fold(f64::INFINITY, f64::min),
+            false => 0.0,
+        };
+    }
+}
+
+fn sector([x, y]: [f64; 2], n: usize) -> usize {
+    let turn = libm::atan2(y, x) / std::f64::consts::TAU + 0.5;
+    ((turn * n as f64) as usize) % n
+}
+
+/// Counts each square whose centre is before the nearest return of its sector.
+fn count_free(member: &Member<'_>, options: &SubmapOptions, nearest_m: &[f64], free: &mut [u32]) {
+    let n = options.n_squares as usize;
+    let scan_from_node = Motion::new(&member.node_from_scan.inverse());
+    let middle = |v: f64| v / options.square_m + n as f64 / 2.0;
+    let reach = options.max_range_m / options.square_m + 1.0;
+    let range = |v: f64| {
+        let (from, to) = (middle(v) - reach, middle(v) + reach + 1.0);
+        from.clamp(0.0, n as f64) as usize..to.clamp(0.0, n as f64) as usize
+    };
+    for a in range(member.node_from_scan.x_m) {
+        for b in range(member.node_from_scan.y_m) {
+            let p = scan_from_node.point(centre_m([a, b], n, options.square_m));
+            let range_m = libm::hypot(p[0], p[1]);
+            if range_m < nearest_m[sector(p, nearest_m.len())] - options.free_margin_m {
+                free[a * n + b] += 1;
+            }
+        }
+    }
+}
+
+/// Whether one of the 8 neighbours is occupied.
+fn has_neighbour(occupied: &[bool], n: usize, k: usize) -> bool {
+    let (row, column) = (k / n, k % n);
+    let around = |v: usize| v.saturating_sub(1)..(v + 2).min(n);
+    around(row).any(|a| around(column).any(|b| occupied[a * n + b]))
+}

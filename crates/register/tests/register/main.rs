@@ -1,0 +1,5 @@
+//! Scan matching and submaps in worlds with a known answer.
+
+mod matching;
+mod submaps;
+mod world;
