@@ -49,6 +49,7 @@ mod scan;
 mod scores;
 #[cfg(feature = "parquet")]
 pub mod tables;
+mod words;
 
 pub use codes::{Severity, Subject};
 pub use ground::{Squares, common_frames};

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::codes::codes;
+use crate::words::{after_jumps, count, times};
 
 /// ``log `a` `` or ``logs `a`, `b`, `c`, ...``
 fn of_logs(logs: &[String]) -> String {
@@ -709,42 +710,5 @@ codes! {
             /// The topic with the odometry.
             odom_topic: String,
         } => "the poses of {n_scans} of {n_compared} scans differ from the ODOM lines of the same time by up to {largest_m:.2} m, as in a corrected log: `{topic}` has the poses of the scans, `{odom_topic}` has the ODOM lines";
-    }
-}
-
-impl NoteKind {
-    /// The grouping that was not evaluated, by name; `None` for notes about something else.
-    pub fn grouping(&self) -> Option<&str> {
-        match self {
-            Self::TooFewGroups { grouping, .. }
-            | Self::TwoGroups { grouping, .. }
-            | Self::TooFewPairsForFolds { grouping, .. }
-            | Self::OneClassLeft { grouping, .. }
-            | Self::GroupingNotTrainable { grouping } => Some(grouping),
-            _ => None,
-        }
-    }
-}
-
-/// A number of things: `1 scan`, `2 scans`.
-fn count(n: u64, thing: &str) -> String {
-    format!("{n} {thing}{}", if n == 1 { "" } else { "s" })
-}
-
-/// How often something happens: `once`, `2 times`.
-fn times(n: u64) -> String {
-    match n {
-        1 => "once".to_owned(),
-        n => format!("{n} times"),
-    }
-}
-
-/// What happens to the poses after a jump, as the end of a sentence.
-fn after_jumps(same_frame: bool) -> &'static str {
-    match same_frame {
-        true => "",
-        false => {
-            ", and poses before and after it give no pairs together; if both are in one map, set `ingest.pose.jumps = \"same_frame\"`"
-        }
     }
 }

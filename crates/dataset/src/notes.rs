@@ -37,6 +37,20 @@ impl Note {
     }
 }
 
+impl NoteKind {
+    /// The grouping that was not evaluated, by name; `None` for notes about something else.
+    pub fn grouping(&self) -> Option<&str> {
+        match self {
+            Self::TooFewGroups { grouping, .. }
+            | Self::TwoGroups { grouping, .. }
+            | Self::TooFewPairsForFolds { grouping, .. }
+            | Self::OneClassLeft { grouping, .. }
+            | Self::GroupingNotTrainable { grouping } => Some(grouping),
+            _ => None,
+        }
+    }
+}
+
 impl From<NoteKind> for Note {
     fn from(kind: NoteKind) -> Self {
         Self { kind, subject: Subject::default() }

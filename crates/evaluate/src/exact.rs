@@ -5,9 +5,9 @@
 //! Pearson 1934, "The use of confidence or fiducial limits illustrated in the case of the binomial",
 //! Biometrika 26(4)). All pairs of a group with an error count as wrong.
 //!
-//! Groups of different sizes tell less than as many groups of one size: n is the effective number of
-//! groups, (sum of sizes)^2 / (sum of squared sizes) (Kish 1965, "Survey Sampling", section 11.7). A
-//! pair of two groups counts half for each.
+//! Groups of different sizes contain less information than the same number of equal groups. Therefore
+//! n is the effective number of groups, (sum of sizes)^2 / (sum of squared sizes) (Kish 1965, "Survey
+//! Sampling", section 11.7). A pair of two groups counts half for each.
 
 use dataset::Label;
 
@@ -117,7 +117,7 @@ mod tests {
         }
     }
 
-    /// Ten groups, one of which has 91 of the 100 pairs: 100^2 / (91^2 + 9) = 1.206 groups. Pairs of
+    /// Ten groups. One has 91 of the 100 pairs: 100^2 / (91^2 + 9) = 1.206 groups. Pairs of
     /// two groups count half for each: three pairs around a triangle are three groups.
     #[test]
     fn groups_of_different_sizes_count_as_fewer_groups() {

@@ -2,35 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
 
+mod common;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
-use dataset::{Keyframe, Label, Pair, Pose2, ScanId};
+use common::{at, line};
+use dataset::{Keyframe, Label, Pair, ScanId};
 use label::{
     Candidates, FoldOptions, Grouping, LabelError, Labelled, Options, assign_folds, label,
 };
-
-/// A full-circle scan at (x, y), heading along x. The log is its own site. The path is 100 m per
-/// scan.
-fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
-    Keyframe {
-        id: ScanId { log: log.into(), scan },
-        site: log.into(),
-        stamp_ns: i64::from(scan),
-        pose: Pose2 { x_m, y_m, heading_rad: 0.0 },
-        covariance: None,
-        z_m: None,
-        segment: 0,
-        frame: 0,
-        travel_m: 100.0 * f64::from(scan),
-        coverage_deg: 360.0,
-    }
-}
-
-/// Full-circle scans of one log along x.
-fn line(xs_m: &[f64]) -> Vec<Keyframe> {
-    xs_m.iter().zip(0..).map(|(&x_m, scan)| at("a", scan, x_m, 0.0)).collect()
-}
 
 /// Three logs of one site, each with 5 by 5 positions 1 m apart. The first two logs overlap, the
 /// third is farther away. Hundreds of pairs are within 1.5 m or more than 5 m apart, within a log and

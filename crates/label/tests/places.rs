@@ -2,30 +2,13 @@
 
 #![allow(clippy::unwrap_used, reason = "a test panics if a value is missing")]
 
+mod common;
+
 use std::f64::consts::PI;
 
-use dataset::{Keyframe, Label, Pair, Pose2, ScanId};
+use common::{at, line};
+use dataset::{Keyframe, Label, Pair};
 use label::{FoldOptions, Grouping, LabelError, Options, assign_folds, label};
-
-/// A full-circle scan at (x, y). The log is its own site. The path is 100 m per scan.
-fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
-    Keyframe {
-        id: ScanId { log: log.into(), scan },
-        site: log.into(),
-        stamp_ns: i64::from(scan),
-        pose: Pose2 { x_m, y_m, heading_rad: 0.0 },
-        covariance: None,
-        z_m: None,
-        segment: 0,
-        frame: 0,
-        travel_m: 100.0 * f64::from(scan),
-        coverage_deg: 360.0,
-    }
-}
-
-fn line(xs_m: &[f64]) -> Vec<Keyframe> {
-    xs_m.iter().zip(0..).map(|(&x_m, scan)| at("a", scan, x_m, 0.0)).collect()
-}
 
 /// Without a limit on the share of a place.
 fn options(positive_radius_m: f64, negative_min_m: f64, pairs_per_class: usize) -> Options {

@@ -57,7 +57,7 @@ impl Prior {
         Self { pose, information: Matrix3::from_diagonal(&weights) }
     }
 
-    /// A prior without information. Directions in which the points say nothing stay at `pose`.
+    /// A prior without information. If the points do not determine a direction, the result stays at `pose` there.
     pub fn none(pose: Pose2) -> Self {
         Self { pose, information: Matrix3::zeros() }
     }

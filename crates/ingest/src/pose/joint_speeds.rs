@@ -168,7 +168,7 @@ fn add_set(
     }
 }
 
-/// The last message of each burst. Positions add up, so that it has the motion of the others as well.
+/// The last message of each burst. Positions add up, so it includes the motion of the others.
 fn last_of_bursts<'a>(readings: &[&'a JointReading]) -> Vec<&'a JointReading> {
     let times = readings.windows(2).map(|pair| pair[1].stamp_ns.saturating_sub(pair[0].stamp_ns));
     let times: Vec<i64> = times.filter(|ns| (0..=PAUSE_NS).contains(ns)).collect();

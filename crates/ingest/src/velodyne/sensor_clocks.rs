@@ -1,4 +1,4 @@
-//! Tells two sensors on one topic apart by their device clocks.
+//! Distinguishes two sensors on one topic by their device clocks.
 //!
 //! The device clock of a sensor without GPS starts when the sensor is switched on. Two sensors
 //! therefore differ in the time from device clock to stamp, and their packets alternate.
