@@ -23,6 +23,7 @@
 mod batch;
 mod card;
 mod classifier;
+mod detector;
 mod file;
 #[cfg(feature = "onnx")]
 mod onnx;
@@ -35,6 +36,10 @@ use serde::{Deserialize, Serialize};
 
 pub use card::card;
 pub use classifier::{Classifier, Learner, Split, WeakLearner};
+pub use detector::{
+    ClosureNoise, DETECTOR_VERSION, Detector, DetectorLog, Drift, Evidence, OdometryNoise,
+    StrongLimits, Verifier,
+};
 #[cfg(feature = "schema")]
 pub use file::schema;
 pub use file::{ModelError, Saved, load, save};

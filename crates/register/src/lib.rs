@@ -50,14 +50,18 @@
 
 mod align;
 mod correlate;
+mod drive;
 mod matcher;
+mod node;
 mod points;
 mod submap;
 mod target;
 
 pub use align::{AlignOptions, Alignment, NEAR_M, Prior, Weakness, align, near_share};
 pub use correlate::{BestPose, BlurredMap, Preference, Window, search};
+pub use drive::{Drive, OdometryScan, RegisterOptions, Registered, register_drive};
 pub use matcher::{Matched, MatcherOptions, ScanMatcher};
+pub use node::{Fit, Node, NodeMember, fit, fit_options};
 pub use points::Points;
 pub use submap::{Member, Square, Submap, SubmapOptions};
 pub use target::Target;

@@ -121,6 +121,16 @@ impl Submap {
             .map_or(Square::Unknown, |k| self.squares[k])
     }
 
+    /// Whether the square at a position or one of its 8 neighbours is occupied.
+    pub fn is_near_occupied(&self, position_m: [f64; 2]) -> bool {
+        index(position_m, self.n_squares, self.square_m).is_some_and(|k| {
+            let n = self.n_squares;
+            let around = |v: usize| v.saturating_sub(1)..(v + 2).min(n);
+            around(k / n)
+                .any(|a| around(k % n).any(|b| self.squares[a * n + b] == Square::Occupied))
+        })
+    }
+
     /// The centres of the squares of a kind \[m\], in the frame of the node.
     pub fn centres(&self, kind: Square) -> impl Iterator<Item = [f64; 2]> + '_ {
         let of_kind = self.squares.iter().enumerate().filter(move |(_, square)| **square == kind);

@@ -1,0 +1,183 @@
+//! What loop detection has learned from logs with ground truth.
+
+use serde::{Deserialize, Serialize};
+
+/// The layout of a [`Detector`]. It changes when a field or its meaning changes.
+pub const DETECTOR_VERSION: u32 = 1;
+
+/// The learned numbers of the stages `register`, `detect` and `optimize`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Detector {
+    /// [`DETECTOR_VERSION`].
+    pub version: u32,
+    /// Error of the odometry between two scans, for poses without a covariance.
+    pub odometry: OdometryNoise,
+    /// Error of the poses from scan matching.
+    pub drift: Drift,
+    /// Error of the relative pose of a closure.
+    pub closure: ClosureNoise,
+    /// Turns evidence into a confidence.
+    pub verifier: Verifier,
+    /// Candidates with a smaller confidence take no part in the optimization.
+    pub min_confidence: f64,
+    /// A group of closures needs at least one closure with this evidence.
+    pub strong: StrongLimits,
+    /// Number of places that are compared with each place.
+    pub n_candidates: u32,
+    /// The logs that the detector was fitted to. Empty for the starting values.
+    pub logs: Vec<DetectorLog>,
+}
+
+/// Error of the odometry over a step of `d` metres: `std_m_per_m * d + std_m` along and across,
+/// `std_rad_per_sqrt_m * sqrt(d) + std_rad` in heading.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct OdometryNoise {
+    /// Standard deviation of the position per metre of path.
+    pub std_m_per_m: f64,
+    /// Standard deviation of the position, independent of the path \[m\].
+    pub std_m: f64,
+    /// Standard deviation of the heading \[rad/sqrt(m)\].
+    pub std_rad_per_sqrt_m: f64,
+    /// Standard deviation of the heading, independent of the path \[rad\].
+    pub std_rad: f64,
+}
+
+/// Error of the poses from scan matching over `d` metres of path: both grow with `sqrt(d)`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Drift {
+    /// Standard deviation of x and of y \[m/sqrt(m)\].
+    pub std_m_per_sqrt_m: f64,
+    /// Standard deviation of the heading \[rad/sqrt(m)\].
+    pub std_rad_per_sqrt_m: f64,
+}
+
+/// Error of the relative pose of a closure.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ClosureNoise {
+    /// Smallest standard deviation of x and of y \[m\].
+    pub std_m: f64,
+    /// Smallest standard deviation of the heading \[rad\].
+    pub std_rad: f64,
+    /// Factor of the covariance of an alignment, so that its normalized errors have the right size.
+    pub covariance_factor: f64,
+}
+
+/// Logistic regression on evidence, whose weights have a fixed sign: more overlap never lowers the
+/// confidence, and more conflict never raises it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Verifier {
+    /// The sum without any evidence.
+    pub intercept: f64,
+    /// Weight of [`Evidence::overlap`], 0 or more.
+    pub overlap: f64,
+    /// Weight of [`Evidence::known_overlap`], 0 or more.
+    pub known_overlap: f64,
+    /// Weight of [`Evidence::conflict`], 0 or less.
+    pub conflict: f64,
+    /// Weight of [`Evidence::margin`], 0 or more.
+    pub margin: f64,
+    /// Weight of [`Evidence::classifier`], 0 or more.
+    pub classifier: f64,
+}
+
+/// The least evidence of the strongest closure of a group.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct StrongLimits {
+    /// Least [`Evidence::known_overlap`].
+    pub known_overlap: f64,
+    /// Most [`Evidence::conflict`].
+    pub conflict: f64,
+}
+
+/// A log that a detector was fitted to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct DetectorLog {
+    /// Name of the log.
+    pub log: String,
+    /// Candidates whose relative pose agrees with the ground truth.
+    pub n_right: u32,
+    /// Candidates whose relative pose does not.
+    pub n_wrong: u32,
+}
+
+/// What speaks for and against a closure.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Evidence {
+    /// Share of the points that the other submap explains, in the direction with the smaller share.
+    pub overlap: f64,
+    /// The same share, over the points in space that the other submap knows.
+    pub known_overlap: f64,
+    /// Number of points in space that the other submap knows, in the direction with the smaller number.
+    pub n_known: u32,
+    /// Share of the points in known space that lie in the free space of the other submap, in the
+    /// direction with the larger share.
+    pub conflict: f64,
+    /// Score of the best minus score of the second-best pose by correlation, per point. 0 if the
+    /// poses were not compared by correlation.
+    pub margin: f64,
+    /// Smallest over largest information about the position, 0 to 1. Near 0 in a bare corridor.
+    pub weakness: f64,
+    /// Confidence of the classifier for the two scans, if one was used.
+    pub classifier: Option<f64>,
+}
+
+impl Detector {
+    /// The values that training starts from. They are those of a robot with a planar scanner and bad
+    /// wheels.
+    pub fn starting_values() -> Self {
+        Self {
+            version: DETECTOR_VERSION,
+            odometry: OdometryNoise {
+                std_m_per_m: 0.15,
+                std_m: 0.02,
+                std_rad_per_sqrt_m: 5f64.to_radians(),
+                std_rad: 0.01,
+            },
+            drift: Drift { std_m_per_sqrt_m: 0.03, std_rad_per_sqrt_m: 0.4f64.to_radians() },
+            closure: ClosureNoise {
+                std_m: 0.12,
+                std_rad: 2f64.to_radians(),
+                covariance_factor: 1.0,
+            },
+            verifier: Verifier {
+                intercept: -2.5,
+                overlap: 10.0,
+                known_overlap: 0.0,
+                conflict: 0.0,
+                margin: 0.0,
+                classifier: 0.0,
+            },
+            min_confidence: 0.5,
+            strong: StrongLimits { known_overlap: 0.5, conflict: 0.2 },
+            n_candidates: 5,
+            logs: Vec::new(),
+        }
+    }
+}
+
+impl Verifier {
+    /// Confidence that a closure is right, 0 to 1.
+    pub fn confidence(&self, evidence: &Evidence) -> f64 {
+        let sum = self.intercept
+            + self.overlap * evidence.overlap
+            + self.known_overlap * evidence.known_overlap
+            + self.conflict * evidence.conflict
+            + self.margin * evidence.margin
+            + self.classifier * evidence.classifier.unwrap_or(0.0);
+        1.0 / (1.0 + (-sum).exp())
+    }
+}

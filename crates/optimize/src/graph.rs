@@ -1,0 +1,208 @@
+//! Pose graphs in the plane, and their best poses.
+
+use dataset::{Pose2, wrap_angle};
+use nalgebra::{Matrix3, Vector3};
+
+use crate::sparse::BlockSystem;
+
+/// A measured relative pose between two poses of a graph.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Edge {
+    /// Index of the first pose.
+    pub a: usize,
+    /// Index of the second pose.
+    pub b: usize,
+    /// The second pose in the frame of the first, as measured.
+    pub a_from_b: Pose2,
+    /// Inverse covariance of x, y and heading of the measurement, in its own frame, `(3, 3)`.
+    pub information: Matrix3<f64>,
+}
+
+impl Edge {
+    /// An edge with independent errors of these standard deviations.
+    pub fn independent(a: usize, b: usize, a_from_b: Pose2, std_m: f64, std_rad: f64) -> Self {
+        let weights = Vector3::new(std_m, std_m, std_rad).map(|std| 1.0 / (std * std));
+        Self { a, b, a_from_b, information: Matrix3::from_diagonal(&weights) }
+    }
+
+    /// The difference between the poses and the measurement, in the frame of the measurement: x, y
+    /// \[m\] and heading \[rad\].
+    pub fn error(&self, poses: &[Pose2]) -> Vector3<f64> {
+        let error = self.a_from_b.inverse() * (poses[self.a].inverse() * poses[self.b]);
+        Vector3::new(error.x_m, error.y_m, error.heading_rad)
+    }
+
+    /// The squared error in standard deviations (Mahalanobis distance). 3 on average if the measurement
+    /// is right.
+    pub fn chi2(&self, poses: &[Pose2]) -> f64 {
+        let error = self.error(poses);
+        (error.transpose() * self.information * error)[(0, 0)]
+    }
+
+    /// Derivatives of the error with respect to x, y and heading of both poses.
+    fn derivatives(&self, poses: &[Pose2]) -> [Matrix3<f64>; 2] {
+        let (a, b) = (&poses[self.a], &poses[self.b]);
+        let (sin, cos) = libm::sincos(a.heading_rad + self.a_from_b.heading_rad);
+        let [dx, dy] = [b.x_m - a.x_m, b.y_m - a.y_m];
+        [
+            Matrix3::new(
+                -cos,
+                -sin,
+                -sin * dx + cos * dy, //
+                sin,
+                -cos,
+                -cos * dx - sin * dy, //
+                0.0,
+                0.0,
+                -1.0,
+            ),
+            Matrix3::new(
+                cos, sin, 0.0, //
+                -sin, cos, 0.0, //
+                0.0, 0.0, 1.0,
+            ),
+        ]
+    }
+}
+
+/// Inverse variance of the pose that a graph is fixed at \[1/m^2, 1/rad^2\]: 0.1 mm.
+const ANCHOR: f64 = 1e8;
+/// The most steps of an optimization.
+const MAX_STEPS: usize = 60;
+/// A step that reduces the cost by a smaller share is the last one.
+const CONVERGED: f64 = 1e-7;
+/// Damping of the first step, and the largest one before the optimization gives up.
+const FIRST_DAMPING: f64 = 1e-6;
+const MAX_DAMPING: f64 = 1e6;
+
+/// Edges between poses, with the structure of their normal equations.
+pub(crate) struct Solver<'a> {
+    edges: &'a [Edge],
+    /// The first pose of each connected part, which stays where it is.
+    anchors: Vec<usize>,
+    system: BlockSystem,
+}
+
+/// Sum of the weighted squared errors.
+pub(crate) fn cost(edges: &[Edge], weights: &[f64], poses: &[Pose2]) -> f64 {
+    edges.iter().zip(weights).filter(|(_, w)| **w > 0.0).map(|(e, w)| w * e.chi2(poses)).sum()
+}
+
+impl<'a> Solver<'a> {
+    /// Prepares the optimization of `n_poses` poses.
+    pub(crate) fn new(n_poses: usize, edges: &'a [Edge]) -> Self {
+        let anchors = first_of_parts(n_poses, edges);
+        let system = BlockSystem::new(n_poses, edges.iter().map(|edge| (edge.a, edge.b)));
+        Self { edges, anchors, system }
+    }
+
+    /// Sets up the normal equations at the poses.
+    fn linearize(&mut self, weights: &[f64], poses: &[Pose2]) {
+        self.system.clear();
+        for (edge, &weight) in self.edges.iter().zip(weights) {
+            let [da, db] = edge.derivatives(poses);
+            let weighted = edge.information * weight;
+            let (to_a, to_b) = (da.transpose() * weighted, db.transpose() * weighted);
+            let error = edge.error(poses);
+            self.system.add(edge.a, edge.a, &(to_a * da));
+            self.system.add(edge.b, edge.b, &(to_b * db));
+            self.system.add(edge.a, edge.b, &(to_a * db));
+            self.system.add_right(edge.a, &-(to_a * error));
+            self.system.add_right(edge.b, &-(to_b * error));
+        }
+        for &anchor in &self.anchors {
+            self.system.add(anchor, anchor, &Matrix3::from_diagonal_element(ANCHOR));
+        }
+    }
+
+    /// Reduces the weighted cost with the method of Levenberg and Marquardt. Returns the final cost.
+    pub(crate) fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2]) -> f64 {
+        let mut before = cost(self.edges, weights, poses);
+        let mut damping = FIRST_DAMPING;
+        for _ in 0..MAX_STEPS {
+            self.linearize(weights, poses);
+            let mut gained = None;
+            while damping < MAX_DAMPING {
+                if let Some(step) = self.system.solve(damping) {
+                    let moved: Vec<Pose2> = poses.iter().zip(&step).map(apply).collect();
+                    let after = cost(self.edges, weights, &moved);
+                    if after <= before {
+                        poses.copy_from_slice(&moved);
+                        gained = Some(before - after);
+                        before = after;
+                        damping = (damping / 10.0).max(1e-12);
+                        break;
+                    }
+                }
+                damping *= 10.0;
+            }
+            match gained {
+                Some(gain) if CONVERGED * (before + 1e-12) < gain => {}
+                _ => break,
+            }
+        }
+        before
+    }
+
+    /// Covariances of chosen poses relative to the fixed pose, `(3, 3)` each.
+    pub(crate) fn covariances(
+        &mut self,
+        weights: &[f64],
+        poses: &[Pose2],
+        of: &[usize],
+    ) -> Option<Vec<Matrix3<f64>>> {
+        self.linearize(weights, poses);
+        let factor = self.system.factor(0.0)?;
+        let mut column = vec![0.0; 3 * poses.len()];
+        let covariances = of.iter().map(|&pose| {
+            let mut covariance = Matrix3::zeros();
+            for k in 0..3 {
+                column.fill(0.0);
+                column[3 * pose + k] = 1.0;
+                factor.solve_in_place(&mut column);
+                (0..3).for_each(|row| covariance[(row, k)] = column[3 * pose + row]);
+            }
+            covariance
+        });
+        Some(covariances.collect())
+    }
+}
+
+/// Moves a pose by a step in x, y and heading.
+fn apply((pose, step): (&Pose2, &Vector3<f64>)) -> Pose2 {
+    Pose2 {
+        x_m: pose.x_m + step[0],
+        y_m: pose.y_m + step[1],
+        heading_rad: wrap_angle(pose.heading_rad + step[2]),
+    }
+}
+
+/// The first pose of each part of the graph that edges connect.
+fn first_of_parts(n_poses: usize, edges: &[Edge]) -> Vec<usize> {
+    let mut first: Vec<usize> = (0..n_poses).collect();
+    fn root(first: &mut [usize], mut k: usize) -> usize {
+        while first[k] != k {
+            first[k] = first[first[k]];
+            k = first[k];
+        }
+        k
+    }
+    for edge in edges {
+        let (a, b) = (root(&mut first, edge.a), root(&mut first, edge.b));
+        first[a.max(b)] = a.min(b);
+    }
+    (0..n_poses).filter(|&k| first[k] == k).collect()
+}
+
+/// The poses that agree best with all edges, from a start.
+pub fn optimize(edges: &[Edge], start: &[Pose2]) -> Vec<Pose2> {
+    let mut poses = start.to_vec();
+    Solver::new(start.len(), edges).optimize(&vec![1.0; edges.len()], &mut poses);
+    poses
+}
+
+/// Covariances of x, y and heading of chosen poses, relative to the first pose of their part of the
+/// graph. `None` if the edges do not determine them.
+pub fn covariances(edges: &[Edge], poses: &[Pose2], of: &[usize]) -> Option<Vec<Matrix3<f64>>> {
+    Solver::new(poses.len(), edges).covariances(&vec![1.0; edges.len()], poses, of)
+}
