@@ -1,19 +1,25 @@
 //! A descriptor of a submap that hardly changes when the submap is turned or shifted.
 
+use std::f64::consts::{PI, TAU};
+
 use register::{Square, Submap};
 
-use crate::fft::{Fft2, Scratch};
-
-/// Radii of the spectrum that are sampled: 2 to 33 cycles per submap.
-const RADII: std::ops::Range<usize> = 2..34;
+/// Cycles per submap of the sampled circles of the spectrum: 2 to 33.
+const RADII: std::ops::Range<u32> = 2..34;
 /// Directions of the spectrum that are sampled, over half a turn. The other half is the same.
 const N_DIRECTIONS: usize = 64;
 /// Coefficients that are kept per radius.
 const N_COEFFICIENTS: usize = 9;
 /// Length of a descriptor.
 pub const DESCRIPTOR_LEN: usize = 32 * N_COEFFICIENTS;
+/// The highest frequency that the interpolation uses.
+const MAX_FREQUENCY: usize = 34;
+/// Frequencies from 0 to the highest.
+const N_FREQUENCIES: usize = MAX_FREQUENCY + 1;
 /// Standard deviation of the blur of the walls \[squares\].
-const BLUR_SQUARES: f32 = 0.8;
+const BLUR_SQUARES: f64 = 0.8;
+/// Reach of the blur \[squares\]: four standard deviations.
+const BLUR_REACH: u32 = 3;
 
 /// Computes descriptors.
 ///
@@ -21,92 +27,150 @@ const BLUR_SQUARES: f32 = 0.8;
 /// submap turns it, which is a cyclic shift in polar coordinates, so the amplitude of the Fourier
 /// transform over the direction does not change with a turn (Fourier-Mellin; Reddy and Chatterji
 /// 1996, "An FFT-based technique for translation, rotation, and scale-invariant image registration").
+/// The logarithm of the amplitude keeps the strongest frequencies from hiding the others.
+///
+/// Few squares are occupied, and only low frequencies are needed. So the sums of the definition are
+/// computed directly, in f64 and in a fixed order.
+#[derive(Debug, Clone)]
 pub struct Describer {
+    /// Squares per side of the submap.
     n: usize,
-    image_fft: Fft2,
+    /// Cosine and sine of `k / n` of a full circle, `(n,)`.
+    circle: Vec<[f64; 2]>,
+    /// Amplitude of the blur per frequency, `(N_FREQUENCIES,)`.
+    blur: Vec<f64>,
+    /// Where the circles are sampled, `(32, N_DIRECTIONS)`.
+    samples: Vec<Sample>,
+    /// Cosine and sine of `k / N_DIRECTIONS` of a full circle.
+    directions: Vec<[f64; 2]>,
+}
+
+/// A point between four frequencies.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    /// Index of the lower frequencies in the amplitudes.
+    at: usize,
+    /// Shares of the four amplitudes: at `at`, next along y, next along x, next along both.
+    weights: [f64; 4],
 }
 
 impl Describer {
     /// For submaps of `n` by `n` squares.
+    ///
+    /// # Panics
+    /// If `n` is less than 69: such a submap does not have the frequencies.
     pub fn new(n: usize) -> Self {
-        Self { n, image_fft: Fft2::new(n) }
+        assert!(2 * MAX_FREQUENCY < n, "a submap of {n} squares does not have 34 frequencies");
+        let circle = circle(n);
+        let weight = |k: u32| libm::exp(-0.5 * (f64::from(k) / BLUR_SQUARES).powi(2));
+        let sum = 1.0 + 2.0 * (1..=BLUR_REACH).map(weight).sum::<f64>();
+        let amplitude = |frequency: usize| {
+            let side: f64 =
+                (1..=BLUR_REACH).map(|k| weight(k) * circle[frequency * k as usize % n][0]).sum();
+            (1.0 + 2.0 * side) / sum
+        };
+        let blur = (0..N_FREQUENCIES).map(amplitude).collect();
+        let samples = RADII
+            .flat_map(|radius| (0..N_DIRECTIONS).map(move |k| sample(f64::from(radius), k)))
+            .collect();
+        Self { n, circle, blur, samples, directions: self::circle(N_DIRECTIONS) }
     }
 
-    /// The descriptor of a submap, `(DESCRIPTOR_LEN,)`.
+    /// The descriptor of a submap, `(DESCRIPTOR_LEN,)`: for each of 32 frequencies 2 to 33, the first 9
+    /// amplitudes over the direction.
     ///
     /// # Panics
     /// If the submap has another size.
     pub fn describe(&self, submap: &Submap) -> Vec<f32> {
         assert_eq!(submap.n_squares(), self.n, "the describer has the size of the submap");
-        let walls: Vec<f32> =
-            submap.squares().iter().map(|s| f32::from(*s == Square::Occupied)).collect();
-        let blurred = blur(&walls, self.n, BLUR_SQUARES);
-        let spectrum = self.image_fft.forward(&blurred, &mut Scratch::default());
-        let amplitude = |row: i64, column: i64| -> f32 {
-            // The transform of a real image is symmetric about the origin.
-            let (row, column) = if column < 0 { (-row, -column) } else { (row, column) };
-            let row = row.rem_euclid(self.n as i64) as usize;
-            spectrum[column as usize * self.n + row].norm().ln_1p()
-        };
+        let amplitudes = self.log_amplitudes(submap);
         let mut descriptor = Vec::with_capacity(DESCRIPTOR_LEN);
-        for radius in RADII {
-            let polar: Vec<f32> = (0..N_DIRECTIONS)
-                .map(|k| {
-                    let angle = std::f64::consts::PI * k as f64 / N_DIRECTIONS as f64;
-                    let (sin, cos) = libm::sincos(angle);
-                    interpolate(&amplitude, radius as f64 * cos, radius as f64 * sin)
+        for samples in self.samples.chunks_exact(N_DIRECTIONS) {
+            let polar: Vec<f64> = samples
+                .iter()
+                .map(|s| {
+                    let next = s.at + N_FREQUENCIES;
+                    let corners = [s.at, s.at + 1, next, next + 1];
+                    corners.iter().zip(s.weights).map(|(&k, w)| w * amplitudes[k]).sum()
                 })
                 .collect();
-            descriptor.extend(amplitudes(&polar));
+            for coefficient in 0..N_COEFFICIENTS {
+                let [mut re, mut im] = [0.0; 2];
+                for (k, value) in polar.iter().enumerate() {
+                    let [cos, sin] = self.directions[k * coefficient % N_DIRECTIONS];
+                    re += value * cos;
+                    im += value * sin;
+                }
+                descriptor.push(libm::hypot(re, im) as f32);
+            }
         }
         descriptor
     }
-}
 
-/// Linear interpolation between the four values around a position.
-fn interpolate(at: &impl Fn(i64, i64) -> f32, x: f64, y: f64) -> f32 {
-    let (x0, y0) = (libm::floor(x), libm::floor(y));
-    let (a, b) = ((x - x0) as f32, (y - y0) as f32);
-    let (i, j) = (x0 as i64, y0 as i64);
-    (1.0 - a) * ((1.0 - b) * at(i, j) + b * at(i, j + 1))
-        + a * ((1.0 - b) * at(i + 1, j) + b * at(i + 1, j + 1))
-}
-
-/// The first amplitudes of the Fourier transform of a short series.
-fn amplitudes(series: &[f32]) -> impl Iterator<Item = f32> + '_ {
-    let n = series.len();
-    (0..N_COEFFICIENTS).map(move |k| {
-        let [mut re, mut im] = [0.0f64; 2];
-        for (j, &value) in series.iter().enumerate() {
-            let (sin, cos) = libm::sincos(std::f64::consts::TAU * ((j * k) % n) as f64 / n as f64);
-            re += f64::from(value) * cos;
-            im -= f64::from(value) * sin;
-        }
-        libm::hypot(re, im) as f32
-    })
-}
-
-/// Blurs an image with a Gaussian. Outside the image, the values are those of the edge.
-pub(crate) fn blur(image: &[f32], n: usize, std: f32) -> Vec<f32> {
-    let reach = (4.0 * std + 0.5) as i64;
-    let kernel: Vec<f32> =
-        (-reach..=reach).map(|k| (-0.5 * (k as f32 / std).powi(2)).exp()).collect();
-    let sum: f32 = kernel.iter().sum();
-    let pass = |image: &[f32], step: usize, next: usize| -> Vec<f32> {
-        let mut blurred = vec![0.0; n * n];
-        for line in 0..n {
-            for at in 0..n {
-                let value: f32 = (-reach..=reach)
-                    .zip(&kernel)
-                    .map(|(k, weight)| {
-                        let from = (at as i64 + k).clamp(0, n as i64 - 1) as usize;
-                        weight * image[line * next + from * step]
-                    })
-                    .sum();
-                blurred[line * next + at * step] = value / sum;
+    /// ln(1 + amplitude) of the spectrum of the blurred walls at the frequencies -34 to 34 along x and
+    /// 0 to 34 along y, `(69, 35)`.
+    fn log_amplitudes(&self, submap: &Submap) -> Vec<f64> {
+        let mut sums = vec![[[0.0; N_FREQUENCIES]; 4]; N_FREQUENCIES];
+        for (row, squares) in submap.squares().chunks_exact(self.n).enumerate() {
+            let mut of_row = [[0.0; N_FREQUENCIES]; 2];
+            let mut is_empty = true;
+            for (column, _) in squares.iter().enumerate().filter(|(_, s)| **s == Square::Occupied) {
+                is_empty = false;
+                for frequency in 0..N_FREQUENCIES {
+                    let [cos, sin] = self.circle[column * frequency % self.n];
+                    of_row[0][frequency] += cos;
+                    of_row[1][frequency] -= sin;
+                }
+            }
+            if is_empty {
+                continue;
+            }
+            for (frequency, sums) in sums.iter_mut().enumerate() {
+                let [cos, sin] = self.circle[row * frequency % self.n];
+                let [re_cos, re_sin, im_cos, im_sin] = sums;
+                for k in 0..N_FREQUENCIES {
+                    re_cos[k] += of_row[0][k] * cos;
+                    re_sin[k] += of_row[0][k] * sin;
+                    im_cos[k] += of_row[1][k] * cos;
+                    im_sin[k] += of_row[1][k] * sin;
+                }
             }
         }
-        blurred
-    };
-    pass(&pass(image, 1, n), n, 1)
+        let mut amplitudes = vec![0.0; (2 * MAX_FREQUENCY + 1) * N_FREQUENCIES];
+        for (x, [re_cos, re_sin, im_cos, im_sin]) in sums.iter().enumerate() {
+            for y in 0..N_FREQUENCIES {
+                let blur = self.blur[x] * self.blur[y];
+                let log = |re: f64, im: f64| libm::log1p(blur * libm::sqrt(re * re + im * im));
+                // (re + i im) (cos - i sin) at the frequency x, and (re + i im) (cos + i sin) at -x.
+                amplitudes[(MAX_FREQUENCY + x) * N_FREQUENCIES + y] =
+                    log(re_cos[y] + im_sin[y], im_cos[y] - re_sin[y]);
+                amplitudes[(MAX_FREQUENCY - x) * N_FREQUENCIES + y] =
+                    log(re_cos[y] - im_sin[y], im_cos[y] + re_sin[y]);
+            }
+        }
+        amplitudes
+    }
+}
+
+/// Cosine and sine of n equal parts of a full circle.
+fn circle(n: usize) -> Vec<[f64; 2]> {
+    (0..n)
+        .map(|k| {
+            let (sin, cos) = libm::sincos(TAU * k as f64 / n as f64);
+            [cos, sin]
+        })
+        .collect()
+}
+
+/// Linear interpolation at a direction of half a turn.
+fn sample(radius: f64, direction: usize) -> Sample {
+    let (sin, cos) = libm::sincos(PI * direction as f64 / N_DIRECTIONS as f64);
+    let (x, y) = (radius * cos, radius * sin);
+    let (x0, y0) = (libm::floor(x), libm::floor(y));
+    let (a, b) = (x - x0, y - y0);
+    let row = (x0 as i64 + MAX_FREQUENCY as i64) as usize;
+    Sample {
+        at: row * N_FREQUENCIES + y0 as usize,
+        weights: [(1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b],
+    }
 }

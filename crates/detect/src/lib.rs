@@ -1,64 +1,35 @@
-//! `detect`: places that may be the same.
+//! `detect`: places of a drive that may be the same.
+//!
+//! ```text
+//! Drive ──Places──► nodes (points, submap) ──Describer──► descriptors ──Descriptors──► similar places
+//!                     │                                                                     │
+//!                     │            classifier (optional) ──────────── re-rank ◄─────────────┘
+//!                     │                                                  │
+//!                     └──────── correlation ──► up to 3 poses ◄──────────┘
+//!                                                    └──register::fit──► Candidate
+//! ```
+//!
+//! [`Places`] joins the scans of a few metres of path into one node, because single scans of different
+//! places look too much alike. [`find_candidates`] compares each place with the most similar earlier
+//! places. The correlation of two submaps counts the walls that lie on walls, and subtracts the walls
+//! that lie in free space, in both directions. Its best poses are aligned and measured with
+//! [`register::fit`].
+//!
+//! A candidate is not a closure. Wrong candidates are expected: places with the same layout have the
+//! same evidence. `optimize` decides which candidates agree with each other and with the odometry.
+//!
+//! The crate depends on neither Arrow, Parquet nor MCAP. Results do not depend on the number of threads
+//! or on the processor: sums whose order matters are in a fixed order, and the fast steps
+//! (product of matrices, correlation) are either exact or only a filter.
 
+mod candidates;
+mod correlation;
 mod descriptor;
-mod fft;
+mod places;
 mod retrieval;
+mod uncertainty;
 
-use dataset::Pose2;
-use model::{Detector, Evidence};
-use nalgebra::Matrix3;
-use register::{Drive, Node};
-
-/// The places of a drive that are compared: keyframes a few metres apart, each with the scans around
-/// it.
-pub struct Places {
-    /// Indices of the keyframes in the drive.
-    pub scans: Vec<usize>,
-    /// The scans around each, joined.
-    pub nodes: Vec<Node>,
-}
-
-impl Places {
-    /// One place per `step_m` of path, each with the scans up to `half_m` of path before and after it.
-    /// The poses of the scans within a node are those of `poses`.
-    pub fn new(drive: &Drive<'_>, poses: &[Pose2], step_m: f64, half_m: f64) -> Self {
-        let _ = (drive, poses, step_m, half_m);
-        todo!()
-    }
-}
-
-/// Two places that may be the same.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Candidate {
-    /// Index of the later keyframe in the drive.
-    pub query: usize,
-    /// Index of the earlier keyframe in the drive.
-    pub reference: usize,
-    /// Pose of the lidar at the query in the frame of the lidar at the reference.
-    pub reference_from_query: Pose2,
-    /// Covariance of x, y and heading of that pose, in the frame of the reference.
-    pub covariance: Matrix3<f64>,
-    /// What speaks for and against it.
-    pub evidence: Evidence,
-    /// Confidence that the pose is right, 0 to 1.
-    pub confidence: f64,
-    /// Rank of the reference among the places that are most similar to the query, from 0.
-    pub rank: u32,
-}
-
-/// Confidence of the classifier for two keyframes of a drive (indices in the drive).
-pub type Classify<'a> = &'a (dyn Fn(usize, usize) -> f64 + Sync);
-
-/// Finds candidates among the places of a drive: for each place, the most similar earlier places at
-/// least `min_path_m` of path before it; for each of these, relative poses by correlation, aligned and
-/// checked in both directions. At most one candidate per pair of places.
-pub fn find_candidates(
-    drive: &Drive<'_>,
-    places: &Places,
-    detector: &Detector,
-    min_path_m: f64,
-    classify: Option<Classify<'_>>,
-) -> Vec<Candidate> {
-    let _ = (drive, places, detector, min_path_m, classify);
-    todo!()
-}
+pub use candidates::{Candidate, Classify, find_candidates};
+pub use descriptor::{DESCRIPTOR_LEN, Describer};
+pub use places::Places;
+pub use retrieval::{Descriptors, Similar};

@@ -1,17 +1,23 @@
 //! Exact search of the most similar descriptors.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
-/// Rows of queries and of references that are compared at once. Their products fit into the cache.
-const BLOCK: usize = 256;
+/// Descriptors that are compared at once. Their products fit into the cache.
+const QUERIES_PER_BLOCK: usize = 256;
+const REFERENCES_PER_BLOCK: usize = 512;
 
 /// Descriptors with each of their numbers scaled to mean 0 and standard deviation 1.
+#[derive(Debug, Clone)]
 pub struct Descriptors {
     len: usize,
     /// Row-major values, `(n, len)`.
     values: Vec<f32>,
     /// Half of the squared length of each row.
     half_squares: Vec<f32>,
+    /// The longest row.
+    longest: f64,
 }
 
 /// A similar descriptor.
@@ -19,28 +25,41 @@ pub struct Descriptors {
 pub struct Similar {
     /// Index of the descriptor.
     pub reference: usize,
-    /// Half of the squared distance of the descriptors.
-    pub half_square: f32,
+    /// Squared Euclidean distance of the descriptors.
+    pub distance_squared: f64,
 }
 
 impl Descriptors {
     /// Scales descriptors. A number that is the same everywhere becomes 0.
+    ///
+    /// # Panics
+    /// If the rows have different lengths, or if a number is not finite.
     pub fn new(rows: &[Vec<f32>]) -> Self {
         let len = rows.first().map_or(0, Vec::len);
+        assert!(rows.iter().all(|row| row.len() == len), "descriptors have the same length");
+        assert!(rows.iter().flatten().all(|v| v.is_finite()), "descriptors are finite");
         let n = rows.len().max(1) as f64;
         let mut values = vec![0.0; rows.len() * len];
         for column in 0..len {
             let of_column = || rows.iter().map(|row| f64::from(row[column]));
             let mean = of_column().sum::<f64>() / n;
             let std = libm::sqrt(of_column().map(|v| (v - mean) * (v - mean)).sum::<f64>() / n);
-            let scale = if std > 0.0 { 1.0 / std } else { 0.0 };
+            // Equal numbers can have a mean that differs from them by a rounding error.
+            let is_constant = std <= 1e-9 * mean.abs();
+            let scale = if is_constant { 0.0 } else { 1.0 / std };
             for (row, value) in of_column().enumerate() {
                 values[row * len + column] = ((value - mean) * scale) as f32;
             }
         }
-        let half = |row: &[f32]| row.iter().map(|v| v * v).sum::<f32>() / 2.0;
-        let half_squares = values.chunks_exact(len.max(1)).map(half).collect();
-        Self { len, values, half_squares }
+        let square = |row: &[f32]| row.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>();
+        let squares: Vec<f64> =
+            (0..rows.len()).map(|k| square(&values[k * len..][..len])).collect();
+        Self {
+            len,
+            values,
+            half_squares: squares.iter().map(|&s| (s / 2.0) as f32).collect(),
+            longest: libm::sqrt(squares.iter().copied().fold(0.0, f64::max)),
+        }
     }
 
     /// Number of descriptors.
@@ -48,66 +67,107 @@ impl Descriptors {
         self.half_squares.len()
     }
 
-    /// For each descriptor, the `k` most similar ones among those for which `may_match(query,
-    /// reference)` is true, the most similar one first. Of equally similar ones, the one with the
-    /// lower index counts.
+    /// For each descriptor `q`, the `k` most similar ones among the first `n_references[q]`, the most
+    /// similar one first. Of equally similar ones, the one with the lower index comes first.
     ///
-    /// All pairs are compared, in blocks, as products of matrices. The result does not depend on the
-    /// number of threads.
-    pub fn most_similar(
-        &self,
-        k: usize,
-        may_match: impl Fn(usize, usize) -> bool + Sync,
-    ) -> Vec<Vec<Similar>> {
-        let blocks: Vec<usize> = (0..self.n()).step_by(BLOCK).collect();
-        let of_block = |&first: &usize| self.most_similar_of_block(first, k, &may_match);
-        blocks.par_iter().map(of_block).flatten_iter().collect()
+    /// The search is exact. A product of matrices in f32 excludes what cannot be among the `k`, with a
+    /// bound on its rounding error. The distances of the others are computed in f64, in a fixed
+    /// order. So the result depends neither on the number of threads nor on the processor.
+    ///
+    /// # Panics
+    /// If `n_references` does not have one entry per descriptor, or if an entry is more than their number.
+    pub fn most_similar(&self, k: usize, n_references: &[usize]) -> Vec<Vec<Similar>> {
+        assert_eq!(n_references.len(), self.n(), "one number of references per descriptor");
+        assert!(n_references.iter().all(|&n| n <= self.n()), "references are descriptors");
+        let blocks: Vec<usize> = (0..self.n()).step_by(QUERIES_PER_BLOCK).collect();
+        // The last blocks have the most references.
+        let mut similar: Vec<Vec<Vec<Similar>>> = blocks
+            .par_iter()
+            .rev()
+            .map(|&first| {
+                let queries = first..(first + QUERIES_PER_BLOCK).min(self.n());
+                self.most_similar_of_block(&queries, k, n_references)
+            })
+            .collect();
+        similar.reverse();
+        similar.into_iter().flatten().collect()
     }
 
     fn most_similar_of_block(
         &self,
-        first: usize,
+        queries: &Range<usize>,
         k: usize,
-        may_match: &(impl Fn(usize, usize) -> bool + Sync),
+        n_references: &[usize],
     ) -> Vec<Vec<Similar>> {
-        let queries = first..(first + BLOCK).min(self.n());
-        let mut similar: Vec<Vec<Similar>> = vec![Vec::new(); queries.len()];
-        let mut products = vec![0.0f32; BLOCK * BLOCK];
-        for other in (0..self.n()).step_by(BLOCK) {
-            let references = other..(other + BLOCK).min(self.n());
-            self.products(&queries, &references, &mut products);
-            for (row, query) in queries.clone().enumerate() {
-                for (column, reference) in references.clone().enumerate() {
-                    let half_square = self.half_squares[query] + self.half_squares[reference]
-                        - products[row * BLOCK + column];
-                    let best = &mut similar[row];
-                    let is_better = best.len() < k
-                        || best.last().is_some_and(|last| half_square < last.half_square);
-                    if 0 < k && is_better && may_match(query, reference) {
-                        let at = best.partition_point(|s| s.half_square <= half_square);
-                        best.insert(at, Similar { reference, half_square });
-                        best.truncate(k);
-                    }
-                }
+        let mut shortlists: Vec<Shortlist> =
+            queries.clone().map(|q| Shortlist::new(k, self.error_bound(q))).collect();
+        let n = queries.clone().map(|q| n_references[q]).max().unwrap_or(0);
+        let mut products = vec![0.0f32; QUERIES_PER_BLOCK * REFERENCES_PER_BLOCK];
+        for first in (0..if k == 0 { 0 } else { n }).step_by(REFERENCES_PER_BLOCK) {
+            let references = first..(first + REFERENCES_PER_BLOCK).min(n);
+            self.products(queries, &references, &mut products);
+            let half_squares = &self.half_squares[references.clone()];
+            for ((row, query), shortlist) in queries.clone().enumerate().zip(&mut shortlists) {
+                let n = references.len().min(n_references[query].saturating_sub(first));
+                let products = &products[row * REFERENCES_PER_BLOCK..][..n];
+                shortlist.offer(first, products, &half_squares[..n]);
             }
         }
-        similar
+        let of_query = |(query, shortlist): (usize, Shortlist)| {
+            let mut similar: Vec<Similar> = shortlist
+                .finish()
+                .map(|reference| Similar {
+                    reference,
+                    distance_squared: self.distance_squared(query, reference),
+                })
+                .collect();
+            similar.sort_by(|a, b| {
+                a.distance_squared
+                    .total_cmp(&b.distance_squared)
+                    .then(a.reference.cmp(&b.reference))
+            });
+            similar.truncate(k);
+            similar
+        };
+        queries.clone().zip(shortlists).map(of_query).collect()
+    }
+
+    /// The squared distance of two descriptors, summed in the order of the numbers.
+    fn distance_squared(&self, a: usize, b: usize) -> f64 {
+        let row = |k: usize| &self.values[k * self.len..][..self.len];
+        let square = |(a, b): (&f32, &f32)| {
+            let difference = f64::from(*a) - f64::from(*b);
+            difference * difference
+        };
+        row(a).iter().zip(row(b)).map(square).sum()
+    }
+
+    /// How much `half_square - product` of a query can be wrong, for any reference.
+    ///
+    /// A sum of products of n pairs in f32, in any order, with or without fused operations, is wrong by at
+    /// most g |a| |b| with g = n e / (1 - n e) and e = 2^-24 (Higham, "Accuracy and Stability of
+    /// Numerical Algorithms", 2nd edition, section 3.1). The rounded half square and the difference add
+    /// at most 3 e (|b|^2 / 2 + |a| |b|).
+    fn error_bound(&self, query: usize) -> f32 {
+        let e = f64::from(f32::EPSILON) / 2.0;
+        let n_e = (self.len + 2) as f64 * e;
+        let length = libm::sqrt(2.0 * f64::from(self.half_squares[query])) * (1.0 + 1e-6);
+        let product = length * self.longest;
+        let bound =
+            n_e / (1.0 - n_e) * product + 3.0 * e * (self.longest * self.longest / 2.0 + product);
+        (bound * (1.0 + 1e-6)) as f32
     }
 
     /// The products of two blocks of rows.
-    fn products(
-        &self,
-        queries: &std::ops::Range<usize>,
-        references: &std::ops::Range<usize>,
-        products: &mut [f32],
-    ) {
+    fn products(&self, queries: &Range<usize>, references: &Range<usize>, products: &mut [f32]) {
         let (m, n) = (queries.len(), references.len());
         let stride = self.len as isize;
         let a = &self.values[queries.start * self.len..queries.end * self.len];
         let b = &self.values[references.start * self.len..references.end * self.len];
-        assert!(m <= BLOCK && n <= BLOCK && products.len() == BLOCK * BLOCK);
-        // SAFETY: `a` has m rows and `b` has n rows of `len` values, and `products` has m rows of
-        // `BLOCK` values, of which n are written.
+        assert!(m <= QUERIES_PER_BLOCK && n <= REFERENCES_PER_BLOCK);
+        assert!(products.len() == QUERIES_PER_BLOCK * REFERENCES_PER_BLOCK);
+        // SAFETY: `a` has m rows and `b` has n rows of `len` values, and `products` has
+        // `QUERIES_PER_BLOCK` rows of `REFERENCES_PER_BLOCK` values, of which m by n are written.
         unsafe {
             matrixmultiply::sgemm(
                 m,
@@ -122,9 +182,77 @@ impl Descriptors {
                 stride,
                 0.0,
                 products.as_mut_ptr(),
-                BLOCK as isize,
+                REFERENCES_PER_BLOCK as isize,
                 1,
             );
         }
+    }
+}
+
+/// The references that can be among the k most similar ones of a query.
+struct Shortlist {
+    k: usize,
+    /// References with a larger value than this are left out.
+    limit: f32,
+    /// Twice the error bound: one value may be too large, another one too small.
+    slack: f32,
+    /// Half square of the reference minus product, and reference.
+    entries: Vec<(f32, u32)>,
+    /// The entries are sorted out when they are this many.
+    capacity: usize,
+}
+
+/// Values that are compared with the limit at once.
+const CHUNK: usize = 16;
+
+impl Shortlist {
+    fn new(k: usize, error_bound: f32) -> Self {
+        let capacity = 4 * k + 16;
+        let slack = 2.0 * error_bound;
+        Self { k, limit: f32::INFINITY, slack, entries: Vec::new(), capacity }
+    }
+
+    fn offer(&mut self, first: usize, products: &[f32], half_squares: &[f32]) {
+        for (chunk, (products, half_squares)) in
+            products.chunks(CHUNK).zip(half_squares.chunks(CHUNK)).enumerate()
+        {
+            let mut n_near = 0u32;
+            for (product, half_square) in products.iter().zip(half_squares) {
+                n_near += u32::from(half_square - product <= self.limit);
+            }
+            if n_near == 0 {
+                continue;
+            }
+            for (k, (product, half_square)) in products.iter().zip(half_squares).enumerate() {
+                let value = half_square - product;
+                if value <= self.limit {
+                    self.entries.push((value, (first + chunk * CHUNK + k) as u32));
+                }
+            }
+            if self.capacity <= self.entries.len() {
+                self.sort_out();
+            }
+        }
+    }
+
+    /// Removes what cannot be among the k.
+    fn sort_out(&mut self) {
+        if self.entries.len() <= self.k {
+            return;
+        }
+        let (_, kth, _) =
+            self.entries.select_nth_unstable_by(self.k - 1, |a, b| a.0.total_cmp(&b.0));
+        let sum = kth.0 + self.slack;
+        // The sum is rounded too.
+        self.limit = sum + f32::EPSILON * sum.abs();
+        self.entries.retain(|entry| entry.0 <= self.limit);
+        self.capacity = self.capacity.max(2 * self.entries.len());
+    }
+
+    fn finish(mut self) -> impl Iterator<Item = usize> {
+        if 0 < self.k {
+            self.sort_out();
+        }
+        self.entries.into_iter().map(|(_, reference)| reference as usize)
     }
 }

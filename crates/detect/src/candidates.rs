@@ -1,0 +1,185 @@
+//! Candidates: pairs of places with a relative pose and evidence.
+
+use dataset::Pose2;
+use model::{Detector, Evidence};
+use nalgebra::Matrix3;
+use rayon::prelude::*;
+use register::{AlignOptions, Drive, Fit, fit, fit_options};
+
+use crate::correlation::{Peak, Query, Reference, Scores, UNIT};
+use crate::descriptor::Describer;
+use crate::places::Places;
+use crate::retrieval::Descriptors;
+use crate::uncertainty::covariance;
+
+/// Two places that may be the same.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// Index of the later keyframe in the drive.
+    pub query: usize,
+    /// Index of the earlier keyframe in the drive.
+    pub reference: usize,
+    /// Pose of the lidar at the query in the frame of the lidar at the reference.
+    pub reference_from_query: Pose2,
+    /// Covariance of x, y and heading of that pose, in the frame of the reference.
+    pub covariance: Matrix3<f64>,
+    /// What speaks for and against it.
+    pub evidence: Evidence,
+    /// Confidence that the pose is right, 0 to 1.
+    pub confidence: f64,
+    /// Rank of the reference among the places that are most similar to the query, from 0.
+    pub rank: u32,
+}
+
+/// Confidence of the classifier for two keyframes of a drive (indices in the drive).
+pub type Classify<'a> = &'a (dyn Fn(usize, usize) -> f64 + Sync);
+
+/// Relative poses of a pair of places that are aligned.
+const N_POSES: usize = 3;
+/// The classifier ranks this many times as many places as are compared.
+const SHORTLIST_FACTOR: usize = 4;
+/// The first gate of the alignment \[m\]: two squares of the submaps.
+const FIRST_GATE_M: f64 = 0.8;
+/// The most iterations of the alignment.
+const MAX_ITERATIONS: u32 = 20;
+
+/// Finds candidates among the places of a drive: for each place, the most similar earlier places at
+/// least `min_path_m` of path before it; for each of these, relative poses by correlation, aligned and
+/// checked in both directions. At most one candidate per pair of places.
+///
+/// - The `detector.n_candidates` places with the nearest descriptors are compared. With a classifier, four
+///   times as many are ranked by it too, and those with the smallest sum of the two ranks are compared
+///   (Borda count). So neither of the two needs a threshold or a scale.
+/// - The best pose by correlation and up to two others with at least half of its score are aligned. The
+///   one with the largest overlap minus conflict counts.
+/// - [`Evidence::margin`] is the score of the best minus that of the second-best pose by correlation, divided
+///   by the number of walls of the submap that has fewer.
+///
+/// The candidates are in the order of the places, and of the ranks within a place. A pair without walls in
+/// common gives no candidate.
+pub fn find_candidates(
+    drive: &Drive<'_>,
+    places: &Places,
+    detector: &Detector,
+    min_path_m: f64,
+    classify: Option<Classify<'_>>,
+) -> Vec<Candidate> {
+    let Some(first) = places.nodes.first() else { return Vec::new() };
+    let describer = Describer::new(first.submap().n_squares());
+    let rows: Vec<Vec<f32>> =
+        places.nodes.par_iter().map(|node| describer.describe(node.submap())).collect();
+    let similar = similar_places(drive, places, &rows, detector, min_path_m, classify);
+    let finder =
+        Finder { places, detector, classify, options: fit_options(FIRST_GATE_M, MAX_ITERATIONS) };
+    (0..places.nodes.len())
+        .into_par_iter()
+        .map(|query| finder.candidates(query, &similar[query]))
+        .flatten_iter()
+        .collect()
+}
+
+/// For each place, the earlier places that it is compared with, the most similar one first.
+fn similar_places(
+    drive: &Drive<'_>,
+    places: &Places,
+    rows: &[Vec<f32>],
+    detector: &Detector,
+    min_path_m: f64,
+    classify: Option<Classify<'_>>,
+) -> Vec<Vec<usize>> {
+    let path_m: Vec<f64> = places.scans.iter().map(|&k| drive.path_m[k]).collect();
+    let n_references: Vec<usize> =
+        path_m.iter().map(|&q| path_m.partition_point(|&r| min_path_m <= q - r)).collect();
+    let n = detector.n_candidates as usize;
+    let n_ranked = if classify.is_some() { SHORTLIST_FACTOR * n } else { n };
+    let similar = Descriptors::new(rows).most_similar(n_ranked, &n_references);
+    let order = |(query, similar): (usize, Vec<_>)| {
+        let by_descriptor: Vec<usize> =
+            similar.into_iter().map(|s: crate::retrieval::Similar| s.reference).collect();
+        let mut ranked = match classify {
+            Some(classify) => {
+                let confidence = |&r: &usize| classify(places.scans[query], places.scans[r]);
+                let confidences: Vec<f64> = by_descriptor.iter().map(confidence).collect();
+                let ranks = rank_sums(&confidences);
+                ranks.into_iter().map(|k| by_descriptor[k]).collect()
+            }
+            None => by_descriptor,
+        };
+        ranked.truncate(n);
+        ranked
+    };
+    similar.into_par_iter().enumerate().map(order).collect()
+}
+
+/// The order of the smallest sum of two ranks: the index, and the rank by falling confidence. Of equal
+/// sums, the smaller index comes first.
+fn rank_sums(confidences: &[f64]) -> Vec<usize> {
+    let mut by_confidence: Vec<usize> = (0..confidences.len()).collect();
+    by_confidence.sort_by(|&a, &b| confidences[b].total_cmp(&confidences[a]));
+    let mut sums: Vec<usize> = (0..confidences.len()).collect();
+    for (rank, &k) in by_confidence.iter().enumerate() {
+        sums[k] += rank;
+    }
+    let mut order: Vec<usize> = (0..confidences.len()).collect();
+    order.sort_by_key(|&k| (sums[k], k));
+    order
+}
+
+struct Finder<'a> {
+    places: &'a Places,
+    detector: &'a Detector,
+    classify: Option<Classify<'a>>,
+    options: AlignOptions,
+}
+
+impl Finder<'_> {
+    /// The candidates of a place.
+    fn candidates(&self, query: usize, references: &[usize]) -> Vec<Candidate> {
+        if references.is_empty() {
+            return Vec::new();
+        }
+        let turned = Query::new(self.places.nodes[query].submap());
+        let candidate = |(rank, &reference)| self.candidate(query, &turned, reference, rank);
+        (0u32..).zip(references).filter_map(candidate).collect()
+    }
+
+    fn candidate(
+        &self,
+        query: usize,
+        turned: &Query,
+        reference: usize,
+        rank: u32,
+    ) -> Option<Candidate> {
+        let (a, b) = (&self.places.nodes[reference], &self.places.nodes[query]);
+        let map = Reference::new(a.submap());
+        let n_walls = map.n_walls().min(turned.n_walls());
+        let peaks = Scores::new(&map, turned).peaks(N_POSES);
+        let best = peaks.first().filter(|best| 0 < n_walls && 0 < best.score)?;
+        let is_aligned = |peak: &&Peak| best.score <= 2 * peak.score;
+        let fits = peaks.iter().filter(is_aligned).map(|peak| fit(a, b, &peak.pose, &self.options));
+        // Of equal fits, the one with the higher score.
+        let value = |fit: &Fit| fit.overlap - fit.conflict;
+        let fit =
+            fits.reduce(|best, next| if value(&best) < value(&next) { next } else { best })?;
+        let second = peaks.get(1).map_or(0, |peak| peak.score);
+        let (query, reference) = (self.places.scans[query], self.places.scans[reference]);
+        let evidence = Evidence {
+            overlap: fit.overlap,
+            known_overlap: fit.known_overlap,
+            n_known: fit.n_known as u32,
+            conflict: fit.known_conflict(),
+            margin: f64::from(best.score - second) / f64::from(UNIT) / n_walls as f64,
+            weakness: fit.alignment.weakness().map_or(0.0, |weakness| weakness.ratio),
+            classifier: self.classify.map(|classify| classify(query, reference)),
+        };
+        Some(Candidate {
+            query,
+            reference,
+            reference_from_query: fit.a_from_b,
+            covariance: covariance(&fit.alignment, &self.options, &self.detector.closure),
+            evidence,
+            confidence: self.detector.verifier.confidence(&evidence),
+            rank,
+        })
+    }
+}

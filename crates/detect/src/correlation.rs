@@ -1,0 +1,278 @@
+//! Relative poses of two submaps by correlation.
+
+use std::f64::consts::TAU;
+
+use dataset::{Pose2, wrap_angle};
+use register::{Square, Submap};
+
+/// Headings that are compared, over a full circle: every 5 deg.
+pub(crate) const N_HEADINGS: usize = 72;
+/// Shifts along x and along y that are compared: -8 to 8 squares, which are 3.2 m.
+pub(crate) const REACH: usize = 8;
+/// Number of shifts along an axis.
+pub(crate) const N_SHIFTS: usize = 2 * REACH + 1;
+/// A wall on a wall counts as this value. Scores are sums of integers, so that they are exact.
+pub(crate) const UNIT: i32 = 64;
+/// Another pose differs by more than this many headings (15 deg) ...
+const OTHER_HEADINGS: usize = 3;
+/// ... or is farther away than this many squares (1.2 m).
+const OTHER_SQUARES: i64 = 3;
+/// Standard deviation of the blur of the walls \[squares\], and its factor: a wall one square away counts
+/// about 0.6.
+const BLUR_SQUARES: f64 = 0.7;
+const BLUR_FACTOR: f64 = 3.0;
+/// Reach of the blur. Farther away, the blur is less than half of 1 / 64.
+const BLUR_REACH: usize = 2;
+
+/// Values that are added at once: the shifts of one row, rounded up to whole registers.
+const LANES: usize = 24;
+const FREE_LANES: usize = 32;
+/// Sums of this many values fit into 16 bits.
+const MAX_VALUES: usize = 256;
+/// Sums of this many values of 0 or 1 fit into 8 bits.
+const MAX_FREE: usize = 255;
+
+/// A submap that others are laid onto.
+#[derive(Debug, Clone)]
+pub(crate) struct Reference {
+    /// Blurred walls minus free space, with a margin of [`REACH`] squares.
+    values: Vec<i16>,
+    /// Squares between two rows of `values`.
+    stride: usize,
+    /// Row and column of each wall.
+    walls: Vec<[u32; 2]>,
+}
+
+/// A submap at each of the headings.
+#[derive(Debug, Clone)]
+pub(crate) struct Query {
+    n: usize,
+    square_m: f64,
+    n_walls: usize,
+    headings: Vec<Turned>,
+}
+
+/// A submap at one heading.
+#[derive(Debug, Clone)]
+struct Turned {
+    /// Row and column of each wall.
+    walls: Vec<[u32; 2]>,
+    /// 1 for free squares, with a margin of [`REACH`] squares.
+    free: Vec<u8>,
+}
+
+/// A pose with a high score.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Peak {
+    /// Score, in units of [`UNIT`].
+    pub(crate) score: i32,
+    /// The pose of the query in the frame of the reference.
+    pub(crate) pose: Pose2,
+}
+
+/// The scores of all poses, `(N_HEADINGS, N_SHIFTS, N_SHIFTS)`.
+///
+/// The score of a pose is the number of walls of the query that lie on walls of the reference (on blurred
+/// ones, as a fraction), minus the number of its walls in the free space of the reference, minus the number
+/// of walls of the reference in its free space. The squares of the query are turned, and those that fall
+/// into the same square count once.
+#[derive(Debug, Clone)]
+pub(crate) struct Scores {
+    values: Vec<i32>,
+    square_m: f64,
+}
+
+impl Reference {
+    pub(crate) fn new(submap: &Submap) -> Self {
+        let n = submap.n_squares();
+        let stride = n + LANES;
+        let mut values = vec![0i16; (n + 2 * REACH) * stride];
+        let walls = squares(submap, Square::Occupied);
+        let kernel = blur_kernel();
+        for &[a, b] in &walls {
+            for (row, weights) in kernel.iter().enumerate() {
+                // BLUR_REACH is less than REACH, so the margin has room.
+                let at = (a as usize + REACH + row - BLUR_REACH) * stride;
+                let first = at + b as usize + REACH - BLUR_REACH;
+                for (value, weight) in values[first..].iter_mut().zip(weights) {
+                    *value = (*value + weight).min(UNIT as i16);
+                }
+            }
+        }
+        for [a, b] in squares(submap, Square::Free) {
+            values[(a as usize + REACH) * stride + b as usize + REACH] -= UNIT as i16;
+        }
+        clear_margin(&mut values, n, stride);
+        Self { values, stride, walls }
+    }
+
+    /// Number of walls.
+    pub(crate) fn n_walls(&self) -> usize {
+        self.walls.len()
+    }
+}
+
+/// What is outside the submap is unknown.
+fn clear_margin(values: &mut [i16], n: usize, stride: usize) {
+    for (row, values) in values.chunks_exact_mut(stride).enumerate() {
+        let is_inside = (REACH..REACH + n).contains(&row);
+        let inside = if is_inside { REACH..REACH + n } else { 0..0 };
+        values[..inside.start].fill(0);
+        values[inside.end..].fill(0);
+    }
+}
+
+impl Query {
+    pub(crate) fn new(submap: &Submap) -> Self {
+        let n = submap.n_squares();
+        let (walls, free) = (squares(submap, Square::Occupied), squares(submap, Square::Free));
+        let headings = (0..N_HEADINGS).map(|k| Turned::new(n, &walls, &free, heading_rad(k)));
+        Self { n, square_m: submap.square_m(), n_walls: walls.len(), headings: headings.collect() }
+    }
+
+    /// Number of walls.
+    pub(crate) fn n_walls(&self) -> usize {
+        self.n_walls
+    }
+}
+
+impl Turned {
+    fn new(n: usize, walls: &[[u32; 2]], free: &[[u32; 2]], heading_rad: f64) -> Self {
+        let (sin, cos) = libm::sincos(heading_rad);
+        let middle = n as f64 / 2.0;
+        // The square that contains the turned centre.
+        let turn = |[a, b]: [u32; 2]| {
+            let (x, y) = (f64::from(a) + 0.5 - middle, f64::from(b) + 0.5 - middle);
+            let (row, column) = (cos * x - sin * y + middle, sin * x + cos * y + middle);
+            let is_inside = 0.0 <= row && 0.0 <= column && row < n as f64 && column < n as f64;
+            is_inside.then_some([row as u32, column as u32])
+        };
+        let mut turned: Vec<[u32; 2]> = walls.iter().filter_map(|&w| turn(w)).collect();
+        turned.sort_unstable();
+        turned.dedup();
+        let stride = n + FREE_LANES;
+        let mut image = vec![0u8; (n + 2 * REACH) * stride];
+        for [a, b] in free.iter().filter_map(|&f| turn(f)) {
+            image[(a as usize + REACH) * stride + b as usize + REACH] = 1;
+        }
+        Self { walls: turned, free: image }
+    }
+}
+
+impl Scores {
+    /// The scores of a query on a reference.
+    pub(crate) fn new(reference: &Reference, query: &Query) -> Self {
+        let mut values = Vec::with_capacity(N_HEADINGS * N_SHIFTS * N_SHIFTS);
+        for turned in &query.headings {
+            for shift in 0..N_SHIFTS {
+                let on_walls = sum_values(reference, turned, shift);
+                let in_free = sum_free(reference, turned, shift, query.n);
+                // The lane k of `in_free` is the shift 2 REACH - k.
+                let score = |k: usize| on_walls[k] - UNIT * in_free[2 * REACH - k];
+                values.extend((0..N_SHIFTS).map(score));
+            }
+        }
+        Self { values, square_m: query.square_m }
+    }
+
+    /// The poses with the highest scores: the best one, then the best one elsewhere (more than 15 deg or
+    /// 1.2 m from the ones before), and so on. Of equal scores, the first one counts, in the order heading,
+    /// x, y.
+    pub(crate) fn peaks(mut self, n: usize) -> Vec<Peak> {
+        let mut peaks = Vec::with_capacity(n);
+        for _ in 0..n {
+            let mut best = (i32::MIN, 0);
+            for (k, &score) in self.values.iter().enumerate() {
+                if best.0 < score {
+                    best = (score, k);
+                }
+            }
+            let (score, at) = best;
+            if score == i32::MIN {
+                break;
+            }
+            let (heading, x, y) = position(at);
+            let metres = |shift: usize| (shift as f64 - REACH as f64) * self.square_m;
+            let pose = Pose2 { x_m: metres(x), y_m: metres(y), heading_rad: heading_rad(heading) };
+            peaks.push(Peak { score, pose });
+            for (k, value) in self.values.iter_mut().enumerate() {
+                let (other_heading, other_x, other_y) = position(k);
+                let turn = heading.abs_diff(other_heading);
+                let (dx, dy) = (x as i64 - other_x as i64, y as i64 - other_y as i64);
+                let is_same = turn.min(N_HEADINGS - turn) <= OTHER_HEADINGS
+                    && dx * dx + dy * dy <= OTHER_SQUARES * OTHER_SQUARES;
+                if is_same {
+                    *value = i32::MIN;
+                }
+            }
+        }
+        peaks
+    }
+}
+
+/// Heading, shift along x and shift along y of a score.
+fn position(k: usize) -> (usize, usize, usize) {
+    (k / (N_SHIFTS * N_SHIFTS), k / N_SHIFTS % N_SHIFTS, k % N_SHIFTS)
+}
+
+fn heading_rad(k: usize) -> f64 {
+    wrap_angle(TAU * k as f64 / N_HEADINGS as f64)
+}
+
+/// The values of the reference at the walls of the query, for a shift along x and all shifts along y.
+fn sum_values(reference: &Reference, turned: &Turned, shift: usize) -> [i32; LANES] {
+    let mut sums = [0i32; LANES];
+    for walls in turned.walls.chunks(MAX_VALUES) {
+        let mut short = [0i16; LANES];
+        for &[a, b] in walls {
+            let at = (a as usize + shift) * reference.stride + b as usize;
+            let values = &reference.values[at..at + LANES];
+            for (sum, value) in short.iter_mut().zip(values) {
+                *sum += value;
+            }
+        }
+        for (sum, short) in sums.iter_mut().zip(short) {
+            *sum += i32::from(short);
+        }
+    }
+    sums
+}
+
+/// The walls of the reference in the free space of the query, for a shift along x and all shifts along y
+/// in descending order.
+fn sum_free(reference: &Reference, turned: &Turned, shift: usize, n: usize) -> [i32; FREE_LANES] {
+    let stride = n + FREE_LANES;
+    let mut sums = [0i32; FREE_LANES];
+    for walls in reference.walls.chunks(MAX_FREE) {
+        let mut short = [0u8; FREE_LANES];
+        for &[a, b] in walls {
+            // The square of the query that the shift moves to the wall.
+            let at = (a as usize + 2 * REACH - shift) * stride + b as usize;
+            let free = &turned.free[at..at + FREE_LANES];
+            for (sum, value) in short.iter_mut().zip(free) {
+                *sum += value;
+            }
+        }
+        for (sum, short) in sums.iter_mut().zip(short) {
+            *sum += i32::from(short);
+        }
+    }
+    sums
+}
+
+/// Row and column of the squares of a kind.
+fn squares(submap: &Submap, kind: Square) -> Vec<[u32; 2]> {
+    let n = submap.n_squares() as u32;
+    let of_kind = (0u32..).zip(submap.squares()).filter(|(_, square)| **square == kind);
+    of_kind.map(|(k, _)| [k / n, k % n]).collect()
+}
+
+/// The blur of a single wall, times [`UNIT`] and rounded.
+fn blur_kernel() -> [[i16; 2 * BLUR_REACH + 1]; 2 * BLUR_REACH + 1] {
+    let weight = |k: i32| libm::exp(-0.5 * (f64::from(k) / BLUR_SQUARES).powi(2));
+    // The sum over four standard deviations.
+    let sum: f64 = (-3..=3).map(weight).sum();
+    let at = |k: usize| weight(k as i32 - BLUR_REACH as i32) / sum;
+    let value = |a: usize, b: usize| libm::round(f64::from(UNIT) * BLUR_FACTOR * at(a) * at(b));
+    std::array::from_fn(|a| std::array::from_fn(|b| value(a, b) as i16))
+}
