@@ -34,6 +34,7 @@
 //! ```
 
 mod codes;
+mod drive_map;
 mod ground;
 mod keyframe;
 mod loss_kind;
@@ -52,6 +53,7 @@ pub mod tables;
 mod words;
 
 pub use codes::{Severity, Subject};
+pub use drive_map::{CandidateClosure, JudgedClosure, MapPose, RegisteredScan, ScanClosure};
 pub use ground::{Squares, common_frames};
 pub use keyframe::{Keyframe, ScanId};
 pub use loss_kind::LossKind;

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::ArrowPrimitiveType;
-use arrow_array::{Array, PrimitiveArray, RecordBatch, StringArray};
+use arrow_array::{Array, BooleanArray, PrimitiveArray, RecordBatch, StringArray};
 
 use super::{Result, TableError};
 
@@ -39,6 +39,15 @@ impl<'a> Columns<'a> {
                 column.data_type().to_string(),
             )
         })
+    }
+
+    pub(super) fn booleans(&self, name: &str) -> Result<&'a BooleanArray> {
+        let column = self.column(name)?;
+        let array = column
+            .as_boolean_opt()
+            .ok_or_else(|| self.error(name, "a boolean column", column.data_type().to_string()))?;
+        self.check_no_nulls(name, array)?;
+        Ok(array)
     }
 
     pub(super) fn strings(&self, name: &str) -> Result<&'a StringArray> {

@@ -13,16 +13,25 @@
 //!   retrieval.parquet        one row per learner and log: results on all pairs of keyframes
 //!   grid.parquet             one row per learner and label rule
 //!   feature_usefulness.parquet   one row per feature
+//!   truth/<log>.parquet      one row per pose of the ground truth (same columns as poses)
+//!   registered/<log>.parquet one row per registered scan
+//!   odometry.parquet         one row per keyframe: pose by scan matching
+//!   candidates.parquet       one row per pair of places that may be the same
+//!   closures.parquet         one row per accepted or rejected closure
+//!   trajectory.parquet       one row per keyframe: optimized pose
+//!   trajectory/<log>.parquet one row per scan: optimized pose (same columns as poses)
 //!   evaluation/*.parquet     results of the evaluation
 //! ```
 //!
 //! Every table stores its [`Provenance`]. Writing a table is atomic: the data go to a temporary
 //! file in the same folder, which is renamed when it is complete.
 
+mod closures;
 mod columns;
 mod evidence;
 mod file;
 mod provenance;
+mod registered;
 pub mod scans;
 mod scores;
 mod types;
@@ -30,6 +39,7 @@ mod usefulness;
 
 use std::path::{Path, PathBuf};
 
+pub use closures::{read_candidates, read_closures, write_candidates, write_closures};
 pub use evidence::{
     grid_batch, read_grid, read_retrieval, retrieval_batch, write_grid, write_retrieval,
 };
@@ -37,6 +47,10 @@ pub use file::{
     digest_file, is_partial, read_provenance, read_table, write_atomically, write_file, write_table,
 };
 pub use provenance::{FORMAT_VERSION, Provenance};
+pub use registered::{
+    read_odometry, read_registered, read_trajectory, write_odometry, write_registered,
+    write_trajectory,
+};
 pub use scores::{read_rounds, read_scores, write_rounds, write_scores};
 pub use types::{
     FeatureTable, batch, floats, read_features, read_keyframes, read_pairs, read_poses, strings,

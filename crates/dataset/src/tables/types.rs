@@ -41,7 +41,8 @@ pub fn floats(values: impl Iterator<Item = f64>) -> ArrayRef {
 }
 
 /// Columns of the covariance of a pose. They are null if the covariance is not known.
-const COVARIANCE: [&str; 6] = ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh"];
+pub(super) const COVARIANCE: [&str; 6] =
+    ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh"];
 
 /// Columns of poses and keyframes that can contain nulls.
 const NULLABLE: [&str; 7] = ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh", "z_m"];
@@ -98,7 +99,8 @@ pub fn read_poses(path: &Path) -> Result<(Trajectory, Provenance)> {
     Ok((Trajectory::new(poses).0.in_frame(frame_id), provenance))
 }
 
-fn covariance_columns(
+/// The columns of covariances.
+pub(super) fn covariance_columns(
     covariances: impl Iterator<Item = Option<[f64; 6]>> + Clone,
 ) -> impl Iterator<Item = (&'static str, ArrayRef)> {
     COVARIANCE.into_iter().enumerate().map(move |(k, name)| {
@@ -118,7 +120,8 @@ fn segment_columns(
     [("z_m", Arc::new(heights)), ("segment", segments), ("frame", frames)]
 }
 
-fn covariances(columns: &Columns<'_>) -> Result<Vec<Option<[f64; 6]>>> {
+/// Reads the columns of covariances.
+pub(super) fn covariances(columns: &Columns<'_>) -> Result<Vec<Option<[f64; 6]>>> {
     let entries = COVARIANCE
         .iter()
         .map(|name| columns.nullable_numbers::<Float64Type>(name))
