@@ -49,6 +49,7 @@ pub fn models(
             training: context.training.clone(),
             measured: scores().map(|scores| measured(scores, labels)).collect(),
             operating_points: scores().flat_map(|scores| points(scores, labels)).collect(),
+            detector: None,
             classifier: train::classifier(boosting, &fitted.rounds),
         })
     });

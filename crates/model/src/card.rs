@@ -2,6 +2,7 @@
 
 use std::fmt::{self, Write};
 
+use crate::detector_card::write_detector;
 use crate::{Measured, Model, OperatingPoint, Training};
 
 /// The card of a model (after Mitchell et al. 2019, "Model cards for model reporting").
@@ -17,6 +18,9 @@ fn write_card(card: &mut String, model: &Model) -> fmt::Result {
     write_warnings(card, &model.training)?;
     write_results(card, &model.measured, &model.training)?;
     write_operating_points(card, &model.operating_points)?;
+    if let Some(detector) = &model.detector {
+        write_detector(card, detector)?;
+    }
     write_limits(card)?;
     write_inputs(card, &model.training)
 }

@@ -20,12 +20,23 @@ pub struct Detector {
     pub closure: ClosureNoise,
     /// Turns evidence into a confidence.
     pub verifier: Verifier,
+    /// The same without the classifier, for candidates without [`Evidence::classifier`]. Its weight of
+    /// the classifier is 0.
+    pub verifier_without_classifier: Verifier,
     /// Candidates with a smaller confidence take no part in the optimization.
     pub min_confidence: f64,
     /// A group of closures needs at least one closure with this evidence.
     pub strong: StrongLimits,
     /// Number of places that are compared with each place.
     pub n_candidates: u32,
+    /// How well the verifiers describe the candidates that they were fitted to. Absent if they were
+    /// not fitted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub measured: Option<VerifierMeasures>,
+    /// Parts that keep their starting values, because the logs do not contain enough for a fit. In
+    /// ascending order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_fitted: Vec<DetectorPart>,
     /// The logs that the detector was fitted to. Empty for the starting values.
     pub logs: Vec<DetectorLog>,
 }
@@ -101,6 +112,42 @@ pub struct StrongLimits {
     pub conflict: f64,
 }
 
+/// How well the verifiers describe the candidates that they were fitted to. The log loss is the mean
+/// of `-ln(p)` over candidates, where `p` is the confidence of what a candidate is: right or wrong.
+/// Each log has the same weight. 0 is the best value. A verifier that always states the share of right
+/// candidates has `log_loss_of_share`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct VerifierMeasures {
+    /// Log loss of [`Detector::verifier`]. Equal to the next one if no candidate has a confidence of
+    /// the classifier.
+    pub log_loss: f64,
+    /// Log loss of [`Detector::verifier_without_classifier`].
+    pub log_loss_without_classifier: f64,
+    /// Log loss of the share of right candidates.
+    pub log_loss_of_share: f64,
+}
+
+/// A part of a [`Detector`] that is fitted on its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum DetectorPart {
+    /// [`Detector::odometry`].
+    Odometry,
+    /// [`Detector::drift`].
+    Drift,
+    /// [`Detector::closure`].
+    Closure,
+    /// Both verifiers and [`Detector::min_confidence`].
+    Verifier,
+    /// [`Detector::strong`].
+    Strong,
+    /// [`Detector::n_candidates`].
+    NCandidates,
+}
+
 /// A log that a detector was fitted to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -139,6 +186,14 @@ impl Detector {
     /// The values that training starts from. They are those of a robot with a planar scanner and bad
     /// wheels.
     pub fn starting_values() -> Self {
+        let verifier = Verifier {
+            intercept: -2.5,
+            overlap: 10.0,
+            known_overlap: 0.0,
+            conflict: 0.0,
+            margin: 0.0,
+            classifier: 0.0,
+        };
         Self {
             version: DETECTOR_VERSION,
             odometry: OdometryNoise {
@@ -153,24 +208,29 @@ impl Detector {
                 std_rad: 2f64.to_radians(),
                 covariance_factor: 1.0,
             },
-            verifier: Verifier {
-                intercept: -2.5,
-                overlap: 10.0,
-                known_overlap: 0.0,
-                conflict: 0.0,
-                margin: 0.0,
-                classifier: 0.0,
-            },
+            verifier,
+            verifier_without_classifier: verifier,
             min_confidence: 0.5,
             strong: StrongLimits { known_overlap: 0.5, conflict: 0.2 },
             n_candidates: 5,
+            measured: None,
+            not_fitted: Vec::new(),
             logs: Vec::new(),
+        }
+    }
+
+    /// Confidence that a closure is right, 0 to 1.
+    pub fn confidence(&self, evidence: &Evidence) -> f64 {
+        match evidence.classifier {
+            Some(_) => self.verifier.confidence(evidence),
+            None => self.verifier_without_classifier.confidence(evidence),
         }
     }
 }
 
 impl Verifier {
-    /// Confidence that a closure is right, 0 to 1.
+    /// Confidence that a closure is right, 0 to 1. The classifier counts as 0 where the evidence does
+    /// not contain it.
     pub fn confidence(&self, evidence: &Evidence) -> f64 {
         let sum = self.intercept
             + self.overlap * evidence.overlap
@@ -178,6 +238,27 @@ impl Verifier {
             + self.conflict * evidence.conflict
             + self.margin * evidence.margin
             + self.classifier * evidence.classifier.unwrap_or(0.0);
-        1.0 / (1.0 + (-sum).exp())
+        1.0 / (1.0 + libm::exp(-sum))
+    }
+}
+
+impl StrongLimits {
+    /// Whether the evidence is within the limits.
+    pub fn accept(&self, evidence: &Evidence) -> bool {
+        self.known_overlap <= evidence.known_overlap && evidence.conflict <= self.conflict
+    }
+}
+
+impl DetectorPart {
+    /// The name in `model.json`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Odometry => "odometry",
+            Self::Drift => "drift",
+            Self::Closure => "closure",
+            Self::Verifier => "verifier",
+            Self::Strong => "strong",
+            Self::NCandidates => "n_candidates",
+        }
     }
 }

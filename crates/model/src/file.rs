@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use semver::Version;
 use serde::{Deserialize, Serialize};
 
+use crate::detector_check::check_detector;
 use crate::{
-    Classifier, FORMAT_VERSION, FeatureSpec, Learner, MAX_DEPTH, Measured, Model, Node,
-    OperatingPoint, ScanSpec, Training, Tree, WeakLearner, card,
+    Classifier, DETECTOR_VERSION, Detector, FORMAT_VERSION, FeatureSpec, Learner, MAX_DEPTH,
+    Measured, Model, Node, OperatingPoint, ScanSpec, Training, Tree, WeakLearner, card,
 };
 
 /// Largest accepted file. A model with 50 rounds has about 10 kB.
@@ -124,6 +125,8 @@ pub(crate) struct ModelFile {
     training: Training,
     measured: Vec<Measured>,
     operating_points: Vec<OperatingPoint>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    detector: Option<Detector>,
     rounds: Vec<Round>,
 }
 
@@ -270,9 +273,15 @@ pub fn load(path: &Path) -> Result<Model, ModelError> {
         }
         None => return Err(ModelError::NoVersion { path: path.to_owned() }),
     }
+    let invalid = |what| ModelError::Invalid { path: path.to_owned(), what };
+    // Another version may have other fields, so it is checked before the fields are parsed.
+    if let Some(found) = peek.pointer("/detector/version").filter(|v| **v != DETECTOR_VERSION) {
+        return Err(invalid(format!(
+            "detector.version: {found}, expected {DETECTOR_VERSION}; train the model again with `loopboost train PIPELINE.toml --out DIR`"
+        )));
+    }
     // Parse the bytes and not `peek`: the error then contains the line, and duplicate fields fail.
     let file: ModelFile = serde_json::from_slice(&bytes).map_err(not_a_model)?;
-    let invalid = |what| ModelError::Invalid { path: path.to_owned(), what };
     check(&file).map_err(invalid)?;
     let expected = digest(&file);
     if file.digest != expected {
@@ -337,6 +346,7 @@ fn to_file(model: &Model) -> ModelFile {
         training: model.training.clone(),
         measured: model.measured.clone(),
         operating_points: model.operating_points.clone(),
+        detector: model.detector.clone(),
         rounds,
     };
     file.digest = digest(&file);
@@ -383,6 +393,7 @@ fn from_file(file: ModelFile) -> Model {
         training: file.training,
         measured: file.measured,
         operating_points: file.operating_points,
+        detector: file.detector,
         classifier: Classifier { learner: file.learner, rounds },
     }
 }
@@ -451,6 +462,9 @@ fn check(file: &ModelFile) -> Result<(), String> {
     }
     check_scans(&file.scans)?;
     check_evidence(file)?;
+    if let Some(detector) = &file.detector {
+        check_detector(detector)?;
+    }
     if file.rounds.is_empty() {
         return Err("rounds: none, expected at least one".to_owned());
     }

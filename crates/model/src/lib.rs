@@ -24,6 +24,8 @@ mod batch;
 mod card;
 mod classifier;
 mod detector;
+mod detector_card;
+mod detector_check;
 mod file;
 #[cfg(feature = "onnx")]
 mod onnx;
@@ -37,8 +39,8 @@ use serde::{Deserialize, Serialize};
 pub use card::card;
 pub use classifier::{Classifier, Learner, Split, WeakLearner};
 pub use detector::{
-    ClosureNoise, DETECTOR_VERSION, Detector, DetectorLog, Drift, Evidence, OdometryNoise,
-    StrongLimits, Verifier,
+    ClosureNoise, DETECTOR_VERSION, Detector, DetectorLog, DetectorPart, Drift, Evidence,
+    OdometryNoise, StrongLimits, Verifier, VerifierMeasures,
 };
 #[cfg(feature = "schema")]
 pub use file::schema;
@@ -74,6 +76,8 @@ pub struct Model {
     pub measured: Vec<Measured>,
     /// Named thresholds.
     pub operating_points: Vec<OperatingPoint>,
+    /// What loop detection has learned. `None` if the model was not trained for it.
+    pub detector: Option<Detector>,
     /// The classifier. Its features are indices into [`FeatureSpec::names`].
     pub classifier: Classifier,
 }

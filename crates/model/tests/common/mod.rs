@@ -71,6 +71,7 @@ pub fn model(learner: Learner) -> Model {
             recall: 0.85,
             false_alarm: 0.0,
         }],
+        detector: None,
         classifier: Classifier { learner, rounds: rounds(learner) },
     }
 }
