@@ -24,6 +24,7 @@
 //! Invariant: this crate uses scores and never models.
 
 mod bootstrap;
+pub mod detection;
 mod exact;
 mod figures;
 mod json;
