@@ -172,7 +172,10 @@ impl CandidateErrors {
 }
 
 /// Each closure compared with the truth.
-pub(crate) fn judge_closures(truth: &[Option<TruePose>], of: &[FoundClosure]) -> Vec<Option<Judged>> {
+pub(crate) fn judge_closures(
+    truth: &[Option<TruePose>],
+    of: &[FoundClosure],
+) -> Vec<Option<Judged>> {
     let judge =
         |c: &FoundClosure| Judged::of(truth, (c.query, c.reference), c.reference_from_query);
     of.iter().map(judge).collect()
@@ -222,7 +225,8 @@ mod tests {
 
     #[test]
     fn the_limits_of_right_and_false() {
-        let verdict = |x_m, deg| Judged::new(at(x_m, 0.0, deg), at(0.0, 0.0, 0.0), Pose2::default()).verdict;
+        let verdict =
+            |x_m, deg| Judged::new(at(x_m, 0.0, deg), at(0.0, 0.0, 0.0), Pose2::default()).verdict;
         assert_eq!(verdict(0.49, 4.9), Verdict::Right);
         assert_eq!(verdict(0.5, 0.0), Verdict::Inexact);
         assert_eq!(verdict(0.0, 5.1), Verdict::Inexact);
@@ -239,7 +243,11 @@ mod tests {
     #[test]
     fn accepted_closures_are_counted_by_pose_and_by_place() {
         let judged = [(0.1, 0.0), (0.2, 2.0), (0.3, 4.0), (2.0, 6.0)].map(|(error, distance)| {
-            Some(Judged::new(at(distance + error, 0.0, 1.0), at(distance, 0.0, 0.0), Pose2::default()))
+            Some(Judged::new(
+                at(distance + error, 0.0, 1.0),
+                at(distance, 0.0, 0.0),
+                Pose2::default(),
+            ))
         });
         let found = ClosureErrors::new(&[&judged[..], &[None]].concat());
         assert_eq!((found.n_judged, found.n_unknown, found.n_right), (4, 1, 3));

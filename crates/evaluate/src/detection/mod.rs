@@ -25,7 +25,8 @@ mod truth;
 
 pub use calibration::{Calibration, chi_square_quantile, normalized_error};
 pub use closures::{
-    CandidateErrors, ClosureErrors, FALSE_DEG, FALSE_M, Judged, PLACE_M, RIGHT_DEG, RIGHT_M, Verdict,
+    CandidateErrors, ClosureErrors, FALSE_DEG, FALSE_M, Judged, PLACE_M, RIGHT_DEG, RIGHT_M,
+    Verdict,
 };
 pub use input::{Drive, Evidence, FoundCandidate, FoundClosure, KeyframePoses, ScanPoses};
 pub use measure::{AgainstTruth, DriveMeasures, PoseSource, Rejected, TrajectoryErrors, measure};

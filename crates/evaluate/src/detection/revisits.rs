@@ -1,6 +1,6 @@
 //! Which keyframes come back to a place, and which of them each stage closes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::FRAC_PI_2;
 
 use serde::Serialize;
@@ -109,10 +109,10 @@ pub fn revisits(
     let is_revisit = |j: &Judged| j.distance_m <= REVISIT_M;
     let is_right = |j: &Judged| is_revisit(j) && j.verdict == Verdict::Right;
     let n = drive.keyframes.len();
-    let (mut closed, mut accepted) = (vec![false; n], BTreeMap::new());
+    let (mut closed, mut accepted) = (vec![false; n], BTreeSet::new());
     for (closure, judged) in drive.closures.iter().zip(closures) {
         if closure.rejected.is_none() {
-            accepted.insert((closure.query, closure.reference), ());
+            accepted.insert((closure.query, closure.reference));
             closed[closure.query] |= judged.as_ref().is_some_and(is_right);
         }
     }
@@ -122,8 +122,7 @@ pub fn revisits(
         let query = candidate.query;
         retrieved[query] |= is_revisit(judged);
         proposed[query] |= is_right(judged);
-        kept[query] |=
-            is_right(judged) && accepted.contains_key(&(query, candidate.reference));
+        kept[query] |= is_right(judged) && accepted.contains(&(query, candidate.reference));
     }
     let near = |reached: &[bool], k: usize| is_reached_near(drive.keyframes, reached, k);
     places_visited_before(drive.keyframes, truth)
@@ -161,7 +160,8 @@ fn places_visited_before(
     for (k, query) in truth.iter().enumerate() {
         let Some(query) = query.map(|t| t.pose) else { continue };
         let (column, row) = (cell(query.x_m), cell(query.y_m));
-        let around = (column - 1..=column + 1).flat_map(|c| (row - 1..=row + 1).map(move |r| (c, r)));
+        let around =
+            (column - 1..=column + 1).flat_map(|c| (row - 1..=row + 1).map(move |r| (c, r)));
         let (mut is_revisit, mut is_opposite) = (false, true);
         for &j in around.filter_map(|key| cells.get(&key)).flatten() {
             let Some(reference) = truth[j].map(|t| t.pose) else { continue };
@@ -177,4 +177,146 @@ fn places_visited_before(
         cells.entry((column, row)).or_default().push(k);
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use dataset::Pose2;
+
+    use super::*;
+    use crate::detection::input::{Evidence, FoundCandidate, FoundClosure};
+
+    fn at(x_m: f64, y_m: f64, heading_deg: f64) -> Pose2 {
+        Pose2 { x_m, y_m, heading_rad: heading_deg.to_radians() }
+    }
+
+    /// A keyframe every metre: 40 m east along y = 0, then back west along y = 2, 80 keyframes in all.
+    fn out_and_back() -> (Vec<KeyframePoses>, Vec<Option<TruePose>>) {
+        let poses: Vec<Pose2> = (0..40)
+            .map(|k| at(f64::from(k), 0.0, 0.0))
+            .chain((0..40).map(|k| at(39.0 - f64::from(k), 2.0, 180.0)))
+            .collect();
+        let keyframe = |k: usize, pose: Pose2| KeyframePoses {
+            scan: k as u32,
+            stamp_ns: k as i64,
+            path_m: k as f64,
+            odometry: pose,
+            scan_matched: pose,
+            optimized: pose,
+            covariance: None,
+        };
+        let keyframes = poses.iter().enumerate().map(|(k, pose)| keyframe(k, *pose)).collect();
+        let truth = poses.iter().map(|&pose| Some(TruePose { pose, is_measured: true })).collect();
+        (keyframes, truth)
+    }
+
+    fn drive<'a>(
+        keyframes: &'a [KeyframePoses],
+        candidates: &'a [FoundCandidate],
+        closures: &'a [FoundClosure],
+    ) -> Drive<'a> {
+        Drive {
+            log: "a",
+            segment: 0,
+            keyframes,
+            scans: &[],
+            candidates,
+            closures,
+            truth: None,
+            base_from_lidar: Pose2::default(),
+        }
+    }
+
+    /// Keyframe 40 + k is at (39 - k, 2). Within 3 m of it are the x from 39 - k - 2.23 to 39 - k + 2.23:
+    /// the nearest in path is 41 - k, at 2 k - 1 m of path. 30 m are reached from k = 15.5 on: keyframes
+    /// 56 to 79 are revisits, all in the opposite direction.
+    #[test]
+    fn revisits_need_a_path_and_a_short_distance() {
+        let (keyframes, truth) = out_and_back();
+        let found = places_visited_before(&keyframes, &truth);
+        assert_eq!(found, (56..80).map(|k| (k, true)).collect::<Vec<_>>());
+        // Without the truth of the first 10 keyframes, those at x < 7.8 have no earlier keyframe.
+        let mut partial = truth;
+        partial[..10].fill(None);
+        let found = places_visited_before(&keyframes, &partial);
+        assert_eq!(found.last(), Some(&(71, true)));
+    }
+
+    /// A place is visited in both directions: a revisit of it is in the same direction.
+    #[test]
+    fn a_revisit_is_opposite_if_all_earlier_visits_are() {
+        let (mut keyframes, mut truth) = out_and_back();
+        let again = KeyframePoses { path_m: 120.0, scan: 80, stamp_ns: 80, ..keyframes[0] };
+        keyframes.push(again);
+        truth.push(truth[5]);
+        assert_eq!(places_visited_before(&keyframes, &truth).last(), Some(&(80, false)));
+    }
+
+    /// Keyframe 60 is at (19, 2) and faces west, keyframe 19 is at (19, 0) and faces east: in the frame of
+    /// 19, the query is at (0, 2), turned by 180 deg.
+    #[test]
+    fn losses_of_each_stage() {
+        let (keyframes, truth) = out_and_back();
+        let candidate = |query: usize, reference: usize, pose| FoundCandidate {
+            query,
+            reference,
+            reference_from_query: pose,
+            confidence: 0.5,
+        };
+        let closure = |query: usize, reference: usize, pose, rejected| FoundClosure {
+            query,
+            reference,
+            reference_from_query: pose,
+            covariance: [0.0; 6],
+            confidence: 0.5,
+            rejected,
+            evidence: Evidence::default(),
+        };
+        let right = at(0.0, 2.0, 180.0);
+        let wrong = at(0.0, 2.0, 0.0);
+        // 60 has a right candidate that is accepted, 65 a right one that is rejected, 70 a wrong one,
+        // and 75 one of another place. 78 is closed without a candidate.
+        let candidates = [
+            candidate(60, 19, right),
+            candidate(65, 14, right),
+            candidate(70, 9, wrong),
+            candidate(75, 30, right),
+        ];
+        let closures = [
+            closure(60, 19, right, None),
+            closure(65, 14, right, Some("inconsistent")),
+            closure(70, 9, wrong, None),
+            closure(78, 1, right, None),
+        ];
+        let drive = drive(&keyframes, &candidates, &closures);
+        let judge =
+            |of: &dyn Fn(usize) -> (usize, usize, Pose2), n: usize| -> Vec<Option<Judged>> {
+                let judged = (0..n).map(of).map(|(q, r, pose)| Judged::of(&truth, (q, r), pose));
+                judged.collect()
+            };
+        let of_candidate = |k: usize| {
+            (candidates[k].query, candidates[k].reference, candidates[k].reference_from_query)
+        };
+        let of_closure =
+            |k: usize| (closures[k].query, closures[k].reference, closures[k].reference_from_query);
+        let found = revisits(
+            &drive,
+            &truth,
+            &judge(&of_candidate, candidates.len()),
+            &judge(&of_closure, closures.len()),
+        );
+        let which = |is: fn(&Revisit) -> bool| -> Vec<usize> {
+            found.iter().filter(|r| is(r)).map(|r| r.keyframe).collect()
+        };
+        assert_eq!(which(|r| r.is_retrieved), [59, 60, 61, 64, 65, 66, 69, 70, 71]);
+        assert_eq!(which(|r| r.is_proposed), [59, 60, 61, 64, 65, 66]);
+        assert_eq!(which(|r| r.is_kept), [59, 60, 61]);
+        assert_eq!(which(|r| r.is_closed_nearby), [59, 60, 61, 77, 78, 79]);
+        assert_eq!(which(|r| r.is_closed), [60, 78]);
+        let counts = Revisits::new(&found);
+        assert_eq!(counts.all, counts.opposite_direction);
+        assert_eq!((counts.all.n, counts.all.n_closed, counts.same_direction.n), (24, 2, 0));
+        assert!((counts.all.recall().unwrap() - 2.0 / 24.0).abs() < 1e-12);
+        assert_eq!(counts.same_direction.recall(), None);
+    }
 }

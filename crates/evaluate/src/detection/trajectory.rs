@@ -45,8 +45,7 @@ pub fn align(truth: &[Pose2], estimate: &[Pose2]) -> Option<Alignment> {
     let heading_rad = libm::atan2(cross, dot);
     let turn = Pose2 { heading_rad, ..Pose2::default() };
     let turned = turn * Pose2 { x_m: b[0], y_m: b[1], heading_rad: 0.0 };
-    let truth_from_estimate =
-        Pose2 { x_m: a[0] - turned.x_m, y_m: a[1] - turned.y_m, heading_rad };
+    let truth_from_estimate = Pose2 { x_m: a[0] - turned.x_m, y_m: a[1] - turned.y_m, heading_rad };
     let squares = truth.iter().zip(estimate).map(|(t, e)| {
         let aligned = truth_from_estimate * *e;
         let (dx, dy) = (aligned.x_m - t.x_m, aligned.y_m - t.y_m);
@@ -145,7 +144,8 @@ pub fn tum(poses: impl Iterator<Item = (i64, Pose2)>) -> String {
     let mut text = String::new();
     for (stamp_ns, pose) in poses {
         let (sin, cos) = libm::sincos(pose.heading_rad / 2.0);
-        let (seconds, ns) = (stamp_ns.div_euclid(1_000_000_000), stamp_ns.rem_euclid(1_000_000_000));
+        let (seconds, ns) =
+            (stamp_ns.div_euclid(1_000_000_000), stamp_ns.rem_euclid(1_000_000_000));
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
@@ -201,8 +201,7 @@ mod tests {
     #[test]
     fn drift_by_construction() {
         let truth: Vec<Pose2> = (0..=200).map(|k| at(0.5 * f64::from(k), 0.0, 0.0)).collect();
-        let scaled: Vec<Pose2> =
-            truth.iter().map(|p| at(3.0 + 1.01 * p.x_m, 4.0, 0.0)).collect();
+        let scaled: Vec<Pose2> = truth.iter().map(|p| at(3.0 + 1.01 * p.x_m, 4.0, 0.0)).collect();
         for path_m in DRIFT_PATHS_M {
             let found = relative_errors(&truth, &scaled, path_m).unwrap();
             assert_eq!(found.n_pairs, 201 - (2.0 * path_m) as usize);
@@ -235,7 +234,8 @@ mod tests {
     #[test]
     fn poses_are_written_as_evo_reads_them() {
         let line = tum([(1_500_000_000_000_000_005, at(1.5, -2.0, 180.0))].into_iter());
-        let expected = "1500000000.000000005 1.500000000 -2.000000000 0 0 0 1.000000000000 0.000000000000\n";
+        let expected =
+            "1500000000.000000005 1.500000000 -2.000000000 0 0 0 1.000000000000 0.000000000000\n";
         assert_eq!(line, expected);
     }
 }

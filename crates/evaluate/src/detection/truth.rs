@@ -55,14 +55,15 @@ impl Truth {
         self.poses.pose_at(stamp_ns, MAX_INTERPOLATION_NS).ok()
     }
 
-    /// The truth at a stamp where the optimized pose is known.
-    pub fn at(&self, stamp_ns: i64, optimized: Pose2) -> Option<TruePose> {
+    /// The truth at the stamp of a scan.
+    pub fn at(&self, stamp_ns: i64) -> Option<TruePose> {
         if let Some(pose) = self.measured_at(stamp_ns) {
             return Some(TruePose { pose, is_measured: true });
         }
         let nearest = self.nearest(stamp_ns)?;
-        let there = self.optimized.pose_at(nearest.stamp_ns, MAX_SCAN_GAP_NS).ok()?;
-        let pose = nearest.pose * (there.inverse() * optimized);
+        let optimized = |stamp_ns| self.optimized.pose_at(stamp_ns, MAX_SCAN_GAP_NS).ok();
+        let nearest_from_here = optimized(nearest.stamp_ns)?.inverse() * optimized(stamp_ns)?;
+        let pose = nearest.pose * nearest_from_here;
         Some(TruePose { pose, is_measured: false })
     }
 
@@ -104,7 +105,7 @@ mod tests {
         let (trajectory, _) =
             Trajectory::new(vec![StampedPose::new(2 * SECOND, at(10.0, 20.0, 90.0))]);
         let truth = Truth::new(&trajectory, &scans);
-        let found = |k: usize| truth.at(scans[k].stamp_ns, scans[k].optimized);
+        let found = |k: usize| truth.at(scans[k].stamp_ns);
         let exact = TruePose { pose: at(10.0, 20.0, 90.0), is_measured: true };
         assert_eq!(found(2), Some(exact));
         let later = found(3).unwrap();
@@ -121,7 +122,7 @@ mod tests {
         let scans = [scan(0, at(0.0, 0.0, 0.0)), scan(20 * ms, at(0.02, 0.0, 0.0))];
         let (trajectory, _) = Trajectory::new(vec![StampedPose::new(0, at(5.0, 0.0, 0.0))]);
         let truth = Truth::new(&trajectory, &scans);
-        let found = truth.at(20 * ms, scans[1].optimized).unwrap();
+        let found = truth.at(20 * ms).unwrap();
         assert!(is_near(found.pose, at(5.02, 0.0, 0.0)) && !found.is_measured);
         assert_eq!(truth.measured_at(20 * ms), None);
     }
@@ -134,8 +135,7 @@ mod tests {
             segment: frame,
             ..StampedPose::new(stamp_ns, at(x_m, 0.0, 0.0))
         };
-        let poses =
-            vec![pose(0, 1.0, 3), pose(SECOND / 5, 2.0, 3), pose(2 * SECOND, 50.0, 0)];
+        let poses = vec![pose(0, 1.0, 3), pose(SECOND / 5, 2.0, 3), pose(2 * SECOND, 50.0, 0)];
         let truth = Truth::new(&Trajectory::new(poses).0, &[]);
         assert_eq!(truth.measured_at(SECOND / 10), Some(at(1.5, 0.0, 0.0)));
         assert_eq!(truth.measured_at(2 * SECOND), None);
