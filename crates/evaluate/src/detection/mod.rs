@@ -20,6 +20,7 @@ mod closures;
 mod input;
 mod measure;
 mod revisits;
+mod tables;
 mod trajectory;
 mod truth;
 
@@ -33,5 +34,6 @@ pub use measure::{AgainstTruth, DriveMeasures, PoseSource, Rejected, TrajectoryE
 pub use revisits::{
     NEAR_PATH_M, REVISIT_M, REVISIT_PATH_M, Revisit, RevisitCounts, Revisits, revisits,
 };
+pub use tables::write_detection;
 pub use trajectory::{Alignment, DRIFT_PATHS_M, Drift, align, relative_errors, tum};
 pub use truth::{MAX_CARRY_NS, MAX_INTERPOLATION_NS, TruePose, Truth};

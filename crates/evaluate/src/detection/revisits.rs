@@ -227,14 +227,14 @@ mod tests {
         }
     }
 
-    /// Keyframe 40 + k is at (39 - k, 2). Within 3 m of it are the x from 39 - k - 2.23 to 39 - k + 2.23:
-    /// the nearest in path is 41 - k, at 2 k - 1 m of path. 30 m are reached from k = 15.5 on: keyframes
-    /// 56 to 79 are revisits, all in the opposite direction.
+    /// Keyframe 40 + k is at (39 - k, 2). Within 3 m of it are the keyframes from 37 - k to 41 - k, which
+    /// differ by at most 2.23 m in x. The first of them is 2 k + 3 m of path before. This is 30 m or
+    /// more from k = 14 on: keyframes 54 to 79 are revisits, all in the opposite direction.
     #[test]
     fn revisits_need_a_path_and_a_short_distance() {
         let (keyframes, truth) = out_and_back();
         let found = places_visited_before(&keyframes, &truth);
-        assert_eq!(found, (56..80).map(|k| (k, true)).collect::<Vec<_>>());
+        assert_eq!(found, (54..80).map(|k| (k, true)).collect::<Vec<_>>());
         // Without the truth of the first 10 keyframes, those at x < 7.8 have no earlier keyframe.
         let mut partial = truth;
         partial[..10].fill(None);
@@ -315,8 +315,8 @@ mod tests {
         assert_eq!(which(|r| r.is_closed), [60, 78]);
         let counts = Revisits::new(&found);
         assert_eq!(counts.all, counts.opposite_direction);
-        assert_eq!((counts.all.n, counts.all.n_closed, counts.same_direction.n), (24, 2, 0));
-        assert!((counts.all.recall().unwrap() - 2.0 / 24.0).abs() < 1e-12);
+        assert_eq!((counts.all.n, counts.all.n_closed, counts.same_direction.n), (26, 2, 0));
+        assert!((counts.all.recall().unwrap() - 2.0 / 26.0).abs() < 1e-12);
         assert_eq!(counts.same_direction.recall(), None);
     }
 }

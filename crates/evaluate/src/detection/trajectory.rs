@@ -197,15 +197,16 @@ mod tests {
     }
 
     /// The scale of the odometry is 1 % too large and it turns by 0.5 deg/m too much, on a straight
-    /// path with a pose every 0.5 m. Over L metres, the error in heading is 0.5 L deg.
+    /// path with a pose every 0.5 m. Over L metres, the error in heading is 0.5 L deg. Poses near the end
+    /// pair with the last one if it is at least 0.9 L away: up to 10 % shorter than L.
     #[test]
     fn drift_by_construction() {
         let truth: Vec<Pose2> = (0..=200).map(|k| at(0.5 * f64::from(k), 0.0, 0.0)).collect();
         let scaled: Vec<Pose2> = truth.iter().map(|p| at(3.0 + 1.01 * p.x_m, 4.0, 0.0)).collect();
         for path_m in DRIFT_PATHS_M {
             let found = relative_errors(&truth, &scaled, path_m).unwrap();
-            assert_eq!(found.n_pairs, 201 - (2.0 * path_m) as usize);
-            assert!((found.rmse_m - 0.01 * path_m).abs() < 1e-9, "{found:?}");
+            assert_eq!(found.n_pairs, 201 - (1.8 * path_m).ceil() as usize);
+            assert!((0.0097..0.010_001).contains(&(found.rmse_m / path_m)), "{found:?}");
             assert!((found.median_m - 0.01 * path_m).abs() < 1e-9 && found.rmse_rad < 1e-12);
         }
         let mut turning = vec![Pose2::default()];
@@ -215,7 +216,7 @@ mod tests {
         }
         let found = relative_errors(&truth, &turning, 10.0).unwrap();
         assert!((found.median_rad.to_degrees() - 5.0).abs() < 1e-9, "{found:?}");
-        assert!((found.rmse_rad.to_degrees() - 5.0).abs() < 1e-9);
+        assert!((found.rmse_rad.to_degrees() - 5.0).abs() < 0.05);
         assert_eq!(relative_errors(&truth, &turning, 1000.0), None);
         assert_eq!(relative_errors(&[], &[], 1.0), None);
     }
