@@ -178,7 +178,7 @@ impl Finder<'_> {
             reference_from_query: fit.a_from_b,
             covariance: covariance(&fit.alignment, &self.options, &self.detector.closure),
             evidence,
-            confidence: self.detector.verifier.confidence(&evidence),
+            confidence: self.detector.confidence(&evidence),
             rank,
         })
     }

@@ -17,7 +17,7 @@ const UNKNOWN_STD_RAD: f64 = 0.5;
 ///
 /// 1. The inverse of the information of the points, times the variance of their residuals, times
 ///    [`ClosureNoise::covariance_factor`].
-/// 2. The variances are at least those of [`ClosureNoise`].
+/// 2. Plus the squares of the standard deviations of [`ClosureNoise`].
 /// 3. If the ratio r of [`Alignment::weakness`] is below 0.1, the variance along the weak direction
 ///    grows by `(1 m)^2 (1 - r / 0.1)^2`. In a corridor, every position along it looks the same, and the
 ///    curvature of the residuals at one of them is too optimistic.
@@ -32,11 +32,8 @@ pub(crate) fn covariance(
         Some(covariance) => covariance * noise.covariance_factor,
         None => Matrix3::from_diagonal(&unknown),
     };
-    // A larger diagonal leaves the matrix positive definite.
-    let least = [noise.std_m, noise.std_m, noise.std_rad].map(|std| std * std);
-    for (k, least) in least.into_iter().enumerate() {
-        covariance[(k, k)] = covariance[(k, k)].max(least);
-    }
+    let least = Vector3::new(noise.std_m, noise.std_m, noise.std_rad).map(|std| std * std);
+    covariance += Matrix3::from_diagonal(&least);
     if let Some(weakness) = alignment.weakness().filter(|w| w.ratio < WEAK_RATIO) {
         let (sin, cos) = libm::sincos(weakness.direction_rad);
         let along =

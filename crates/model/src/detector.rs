@@ -68,7 +68,8 @@ pub struct Drift {
     pub std_rad_per_sqrt_m: f64,
 }
 
-/// Error of the relative pose of a closure.
+/// Error of the relative pose of a closure. Its covariance is that of the alignment times
+/// `covariance_factor`, plus the squares of `std_m`, `std_m` and `std_rad` on the diagonal.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]

@@ -20,6 +20,7 @@
 
 mod baseline;
 mod cross_validate;
+pub mod detector;
 mod discrete;
 mod gentle;
 mod gentle_line;
