@@ -2,8 +2,7 @@
 
 use dataset::{Pose2, wrap_angle};
 use nalgebra::{Matrix3, Vector3};
-
-use crate::sparse::BlockSystem;
+use register::{BlockSystem, relative_derivatives};
 
 /// A measured relative pose between two poses of a graph.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -41,27 +40,13 @@ impl Edge {
 
     /// Derivatives of the error with respect to x, y and heading of both poses.
     fn derivatives(&self, poses: &[Pose2]) -> [Matrix3<f64>; 2] {
-        let (a, b) = (&poses[self.a], &poses[self.b]);
-        let (sin, cos) = libm::sincos(a.heading_rad + self.a_from_b.heading_rad);
-        let [dx, dy] = [b.x_m - a.x_m, b.y_m - a.y_m];
-        [
-            Matrix3::new(
-                -cos,
-                -sin,
-                -sin * dx + cos * dy, //
-                sin,
-                -cos,
-                -cos * dx - sin * dy, //
-                0.0,
-                0.0,
-                -1.0,
-            ),
-            Matrix3::new(
-                cos, sin, 0.0, //
-                -sin, cos, 0.0, //
-                0.0, 0.0, 1.0,
-            ),
-        ]
+        let (sin, cos) = libm::sincos(self.a_from_b.heading_rad);
+        let to_measured = Matrix3::new(
+            cos, sin, 0.0, //
+            -sin, cos, 0.0, //
+            0.0, 0.0, 1.0,
+        );
+        relative_derivatives(&poses[self.a], &poses[self.b]).map(|d| to_measured * d)
     }
 }
 
@@ -144,27 +129,14 @@ impl<'a> Solver<'a> {
         before
     }
 
-    /// Covariances of chosen poses relative to the fixed pose, `(3, 3)` each.
+    /// Covariances of all poses relative to the fixed pose of their part, in the frame of the map.
     pub(crate) fn covariances(
         &mut self,
         weights: &[f64],
         poses: &[Pose2],
-        of: &[usize],
     ) -> Option<Vec<Matrix3<f64>>> {
         self.linearize(weights, poses);
-        let factor = self.system.factor(0.0)?;
-        let mut column = vec![0.0; 3 * poses.len()];
-        let covariances = of.iter().map(|&pose| {
-            let mut covariance = Matrix3::zeros();
-            for k in 0..3 {
-                column.fill(0.0);
-                column[3 * pose + k] = 1.0;
-                factor.solve_in_place(&mut column);
-                (0..3).for_each(|row| covariance[(row, k)] = column[3 * pose + row]);
-            }
-            covariance
-        });
-        Some(covariances.collect())
+        Some(self.system.factor(0.0)?.inverse_diagonal())
     }
 }
 
@@ -201,8 +173,8 @@ pub fn optimize(edges: &[Edge], start: &[Pose2]) -> Vec<Pose2> {
     poses
 }
 
-/// Covariances of x, y and heading of chosen poses, relative to the first pose of their part of the
-/// graph. `None` if the edges do not determine them.
-pub fn covariances(edges: &[Edge], poses: &[Pose2], of: &[usize]) -> Option<Vec<Matrix3<f64>>> {
-    Solver::new(poses.len(), edges).covariances(&vec![1.0; edges.len()], poses, of)
+/// Covariances of x, y and heading of all poses, relative to the first pose of their part of the graph,
+/// in the frame of the map. `None` if the edges do not determine the poses.
+pub fn covariances(edges: &[Edge], poses: &[Pose2]) -> Option<Vec<Matrix3<f64>>> {
+    Solver::new(poses.len(), edges).covariances(&vec![1.0; edges.len()], poses)
 }

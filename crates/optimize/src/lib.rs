@@ -1,9 +1,21 @@
 //! `optimize`: the poses of a drive and its loop closures, estimated together.
 
-use dataset::{Pose2, RangeLimits};
-use model::{Detector, Evidence};
+mod every_scan;
+mod gnc;
+mod graph;
+mod guided;
+mod places;
+mod solve;
+mod support;
+
+use dataset::Pose2;
+use model::Evidence;
 use nalgebra::Matrix3;
-use register::{Drive, OdometryScan};
+
+pub use every_scan::align_every_scan;
+pub use gnc::{MAX_CHI2, Robust, reject_false_closures};
+pub use graph::{Edge, covariances, optimize};
+pub use solve::close_loops;
 
 /// A possible closure between two scans of a drive, as `detect` finds it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -56,19 +68,6 @@ pub struct Closure {
     pub rejected: Option<Reason>,
 }
 
-/// An edge of the pose graph, between two scans of the drive.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Edge {
-    /// Index of the first scan (of the vertex, in a [`Solver`](crate)).
-    pub a: usize,
-    /// Index of the second scan.
-    pub b: usize,
-    /// The second pose in the frame of the first, as measured.
-    pub a_from_b: Pose2,
-    /// Inverse covariance of x, y and heading of the measurement, in its own frame, `(3, 3)`.
-    pub information: Matrix3<f64>,
-}
-
 /// A drive with its closures.
 #[derive(Debug, Clone)]
 pub struct Solution {
@@ -95,29 +94,4 @@ pub struct Round {
     pub n_predicted: usize,
     /// Those that their scans confirm.
     pub n_confirmed: usize,
-}
-
-/// Chooses the closures of a drive and optimizes its poses. Without an accepted closure, the poses are
-/// those of the drive.
-pub fn close_loops(
-    drive: &Drive<'_>,
-    proposals: &[Proposal],
-    detector: &Detector,
-    min_path_m: f64,
-) -> Solution {
-    let _ = (drive, proposals, detector, min_path_m);
-    todo!()
-}
-
-/// Aligns every scan with the map of the optimized drive. `registered` are the indices of the scans of
-/// the drive in `scans`. Returns a pose for each of `scans`.
-pub fn align_every_scan(
-    drive: &Drive<'_>,
-    poses: &[Pose2],
-    registered: &[usize],
-    scans: &[OdometryScan<'_>],
-    limits: RangeLimits,
-) -> Vec<Pose2> {
-    let _ = (drive, poses, registered, scans, limits);
-    todo!()
 }

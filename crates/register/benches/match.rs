@@ -5,6 +5,7 @@
 
 use dataset::{Pose2, RangeLimits, Scan};
 use divan::Bencher;
+use model::Detector;
 use register::{
     AlignOptions, MatcherOptions, Points, Prior, ScanMatcher, Target, align, near_share,
 };
@@ -45,7 +46,8 @@ fn alignment(bencher: Bencher<'_, '_>) {
 /// A keyframe against the last 8 m, every 0.2 m: target, search for a start, and alignment.
 #[divan::bench]
 fn keyframe_of_a_drive(bencher: Bencher<'_, '_>) {
-    let mut matcher = ScanMatcher::new(MatcherOptions::default());
+    let mut matcher =
+        ScanMatcher::new(MatcherOptions::default(), Detector::starting_values().odometry);
     let mut k = 0;
     bencher.bench_local(|| {
         // To and fro over 4 m.

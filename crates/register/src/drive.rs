@@ -1,12 +1,14 @@
 //! A drive: scans in the order of time with their poses.
 
-use dataset::{Pose2, RangeLimits, Scan};
+use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan};
 use model::OdometryNoise;
 use nalgebra::Matrix3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::align::Weakness;
-use crate::matcher::MatcherOptions;
+use crate::joint::{JointOptions, JointScans, align_jointly, pairs_along_path};
+use crate::matcher::{Matched, MatcherOptions, ScanMatcher};
 use crate::points::Points;
 
 /// How a drive is registered.
@@ -14,10 +16,15 @@ use crate::points::Points;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct RegisterOptions {
-    /// A scan is registered when the robot has moved this far since the last one that was \[m\].
+    /// A scan that covers less than a full circle is registered when the robot has moved this far
+    /// since the last one that was \[m\].
     pub spacing_m: f64,
     /// The same when it has turned by this angle \[deg\].
     pub turn_deg: f64,
+    /// The same distance for scans that cover a full circle \[m\]. They share more of what they see.
+    pub full_circle_spacing_m: f64,
+    /// The same angle for scans that cover a full circle \[deg\].
+    pub full_circle_turn_deg: f64,
     /// Returns farther than this are not used \[m\].
     pub max_range_m: f64,
     /// Scan matching.
@@ -29,6 +36,8 @@ impl Default for RegisterOptions {
         Self {
             spacing_m: 0.2,
             turn_deg: 8.0,
+            full_circle_spacing_m: 0.45,
+            full_circle_turn_deg: 20.0,
             max_range_m: 25.0,
             matcher: MatcherOptions::default(),
         }
@@ -82,8 +91,16 @@ pub struct Drive<'a> {
     pub is_keyframe: Vec<bool>,
 }
 
+/// One point per square of this size is kept of a scan \[m\]. A scanner with thousands of returns per
+/// scan would otherwise need more time for the same result.
+const SCAN_VOXEL_M: f64 = 0.05;
+
 impl<'a> Drive<'a> {
-    /// Computes points and path. The path is the sum of the distances between consecutive scans.
+    /// Computes points and path. The path is the sum of the distances between consecutive scans, by
+    /// odometry.
+    ///
+    /// # Panics
+    /// If the vectors have different lengths.
     pub fn new(
         scans: Vec<&'a Scan>,
         odometry: Vec<Pose2>,
@@ -91,8 +108,32 @@ impl<'a> Drive<'a> {
         is_keyframe: Vec<bool>,
         limits: RangeLimits,
     ) -> Self {
-        let _ = (scans, odometry, poses, is_keyframe, limits);
-        todo!()
+        let n = scans.len();
+        assert!(odometry.len() == n && poses.len() == n && is_keyframe.len() == n);
+        let points = scans.par_iter().map(|scan| points_of(scan, limits)).collect();
+        let path_m = path_m(&odometry);
+        Self { scans, points, odometry, poses, path_m, is_keyframe }
+    }
+}
+
+/// The points of a scan as registration uses them: within the limits, one per square of 0.05 m.
+pub fn points_of(scan: &Scan, limits: RangeLimits) -> Points {
+    Points::from_scan(scan, limits).thin(SCAN_VOXEL_M)
+}
+
+/// Path length at each pose: the sum of the distances between consecutive poses \[m\].
+fn path_m(poses: &[Pose2]) -> Vec<f64> {
+    let mut path_m = vec![0.0; poses.len()];
+    for k in 1..poses.len() {
+        path_m[k] = path_m[k - 1] + poses[k - 1].distance_m(&poses[k]);
+    }
+    path_m
+}
+
+impl RegisterOptions {
+    /// The range limits of registration: those of the lidar, up to `max_range_m`.
+    pub fn limits(&self, lidar: RangeLimits) -> RangeLimits {
+        RangeLimits { min_m: lidar.min_m, max_m: lidar.max_m.min(self.max_range_m) }
     }
 }
 
@@ -104,6 +145,61 @@ pub fn register_drive(
     noise: &OdometryNoise,
     options: &RegisterOptions,
 ) -> Vec<Registered> {
-    let _ = (scans, limits, noise, options);
-    todo!()
+    let chosen = choose(scans, options);
+    let limits = options.limits(limits);
+    let points: Vec<Points> =
+        chosen.par_iter().map(|&k| points_of(scans[k].scan, limits)).collect();
+    let odometry: Vec<Pose2> = chosen.iter().map(|&k| scans[k].odometry).collect();
+    let mut matcher = ScanMatcher::new(options.matcher, *noise);
+    let matched: Vec<Matched> = points
+        .iter()
+        .zip(&odometry)
+        .map(|(points, pose)| matcher.add(points.clone(), pose))
+        .collect();
+    let path_m = path_m(&odometry);
+    let pairs = pairs_along_path(&path_m, PAIR_PATH_M, PAIR_EVERY_M, PAIR_LAST);
+    let joint = JointScans { points: &points, odometry: &odometry, path_m: &path_m };
+    let poses: Vec<Pose2> = matched.iter().map(|matched| matched.pose).collect();
+    let poses = align_jointly(&joint, &poses, &pairs, noise, &JointOptions::default());
+    let registered = chosen.iter().zip(&poses).zip(&matched);
+    registered
+        .map(|((&index, &pose), matched)| Registered {
+            index,
+            pose,
+            covariance: matched.covariance,
+            near_share: matched.near_share,
+            weakness: matched.weakness,
+        })
+        .collect()
+}
+
+/// Scans are compared with those of the last metres of path \[m\].
+const PAIR_PATH_M: f64 = 5.0;
+/// After the last few, with one per this distance \[m\].
+const PAIR_EVERY_M: f64 = 0.5;
+/// With each of this many before it.
+const PAIR_LAST: usize = 4;
+
+/// The scans to register: the first one, keyframes, and those after enough path or turning.
+fn choose(scans: &[OdometryScan<'_>], options: &RegisterOptions) -> Vec<usize> {
+    let mut chosen: Vec<usize> = Vec::new();
+    let mut since_m = 0.0;
+    for (k, scan) in scans.iter().enumerate() {
+        if 0 < k {
+            since_m += scans[k - 1].odometry.distance_m(&scan.odometry);
+        }
+        let is_due = chosen.last().is_none_or(|&last| {
+            let turned = scan.odometry.heading_difference_rad(&scans[last].odometry);
+            let (spacing_m, turn_deg) = match scan.scan.coverage_deg < FULL_RING_DEG {
+                true => (options.spacing_m, options.turn_deg),
+                false => (options.full_circle_spacing_m, options.full_circle_turn_deg),
+            };
+            spacing_m <= since_m || turn_deg.to_radians() <= turned
+        });
+        if is_due || scan.is_keyframe {
+            chosen.push(k);
+            since_m = 0.0;
+        }
+    }
+    chosen
 }

@@ -51,17 +51,21 @@
 mod align;
 mod correlate;
 mod drive;
+mod joint;
 mod matcher;
 mod node;
 mod points;
+mod sparse;
 mod submap;
 mod target;
 
 pub use align::{AlignOptions, Alignment, NEAR_M, Prior, Weakness, align, near_share};
 pub use correlate::{BestPose, BlurredMap, Preference, Window, search};
-pub use drive::{Drive, OdometryScan, RegisterOptions, Registered, register_drive};
+pub use drive::{Drive, OdometryScan, RegisterOptions, Registered, points_of, register_drive};
+pub use joint::{JointOptions, JointScans, align_jointly, pairs_along_path, relative_derivatives};
 pub use matcher::{Matched, MatcherOptions, ScanMatcher};
-pub use node::{Fit, Node, NodeMember, fit, fit_options};
+pub use node::{Fit, Node, NodeMember, fit, fit_options, places};
 pub use points::Points;
+pub use sparse::{BlockSystem, Factor};
 pub use submap::{Member, Square, Submap, SubmapOptions};
 pub use target::Target;

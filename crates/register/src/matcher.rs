@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 
 use dataset::Pose2;
+use model::OdometryNoise;
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 
@@ -12,9 +13,6 @@ use crate::points::Points;
 use crate::target::Target;
 
 /// How the scans of a drive are matched.
-///
-/// The standard deviations of the odometry belong to one step between two keyframes. Values for a robot
-/// with bad wheels do little harm to a robot with good ones, because the points usually say more.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -27,14 +25,6 @@ pub struct MatcherOptions {
     pub target_voxel_m: f64,
     /// Target points farther from the expected position than this, along x or y, are left out \[m\].
     pub target_half_width_m: f64,
-    /// Standard deviation of the position after a step, per metre of path.
-    pub odometry_std_per_m: f64,
-    /// The same, independent of the path \[m\].
-    pub odometry_std_m: f64,
-    /// Standard deviation of the heading, per square root of the path \[deg/sqrt(m)\].
-    pub odometry_std_deg_per_sqrt_m: f64,
-    /// The same, independent of the path \[deg\].
-    pub odometry_std_deg: f64,
     /// The search for a start covers at most this distance on either side of the odometry \[m\].
     pub search_m: f64,
     /// The search for a start covers this angle on either side of the odometry \[deg\].
@@ -53,10 +43,6 @@ impl Default for MatcherOptions {
             max_keyframes: 60,
             target_voxel_m: 0.05,
             target_half_width_m: 20.0,
-            odometry_std_per_m: 0.15,
-            odometry_std_m: 0.02,
-            odometry_std_deg_per_sqrt_m: 5.0,
-            odometry_std_deg: 0.57,
             search_m: 0.3,
             search_deg: 20.0,
             enough_near_share: 0.9,
@@ -88,6 +74,9 @@ struct MatchedKeyframe {
 /// Matches the keyframes of a drive one after the other.
 pub struct ScanMatcher {
     options: MatcherOptions,
+    /// Error of the odometry. Values for a robot with bad wheels do little harm to a robot with good
+    /// ones, because the points usually say more.
+    noise: OdometryNoise,
     /// The keyframes of the target, oldest first.
     recent: VecDeque<MatchedKeyframe>,
     last_odometry: Pose2,
@@ -111,8 +100,14 @@ const MIN_TURN_STEP_M: f64 = 0.05;
 
 impl ScanMatcher {
     /// A matcher without keyframes.
-    pub fn new(options: MatcherOptions) -> Self {
-        Self { options, recent: VecDeque::new(), last_odometry: Pose2::default(), path_m: 0.0 }
+    pub fn new(options: MatcherOptions, noise: OdometryNoise) -> Self {
+        Self {
+            options,
+            noise,
+            recent: VecDeque::new(),
+            last_odometry: Pose2::default(),
+            path_m: 0.0,
+        }
     }
 
     /// Matches the next keyframe: its points in the lidar frame and the pose of the lidar by odometry.
@@ -150,11 +145,11 @@ impl ScanMatcher {
 
     /// The odometry after a step as a prior.
     fn prior(&self, expected: Pose2, step_m: f64) -> Prior {
-        let options = &self.options;
-        let std_m = options.odometry_std_per_m * step_m.max(MIN_STEP_M) + options.odometry_std_m;
-        let std_deg = options.odometry_std_deg_per_sqrt_m * libm::sqrt(step_m.max(MIN_TURN_STEP_M))
-            + options.odometry_std_deg;
-        Prior::independent(expected, std_m, std_m, std_deg.to_radians())
+        let noise = &self.noise;
+        let std_m = noise.std_m_per_m * step_m.max(MIN_STEP_M) + noise.std_m;
+        let std_rad =
+            noise.std_rad_per_sqrt_m * libm::sqrt(step_m.max(MIN_TURN_STEP_M)) + noise.std_rad;
+        Prior::independent(expected, std_m, std_m, std_rad)
     }
 
     /// The points of the recent keyframes around the expected position. Of the points in a square, the

@@ -3,6 +3,7 @@
 use dataset::{Pose2, Scan};
 
 use crate::align::{AlignOptions, Alignment, Prior, align};
+use crate::drive::Drive;
 use crate::points::{Motion, Points};
 use crate::submap::{Member, Square, Submap, SubmapOptions};
 use crate::target::Target;
@@ -169,5 +170,45 @@ fn one_direction(a: &Node, b: &Node, a_from_b: &Pose2) -> OneDirection {
         n_known: if is_enough { n_known } else { 0 },
         known: share(n_known, n),
         conflict: share(n_conflicts, n),
+    }
+}
+
+/// Keyframes at least `step_m` of path apart, from the first one on.
+pub fn places(drive: &Drive<'_>, step_m: f64) -> Vec<usize> {
+    let mut places = Vec::new();
+    let mut next_m = f64::NEG_INFINITY;
+    for (k, &path_m) in drive.path_m.iter().enumerate() {
+        if drive.is_keyframe[k] && next_m <= path_m {
+            places.push(k);
+            next_m = path_m + step_m;
+        }
+    }
+    places
+}
+
+impl Node {
+    /// Joins the scans of a drive up to `half_m` of path before and after a scan. `poses` are the poses
+    /// of all scans of the drive.
+    pub fn around(
+        drive: &Drive<'_>,
+        poses: &[Pose2],
+        scan: usize,
+        half_m: f64,
+        options: &SubmapOptions,
+    ) -> Self {
+        let from_m = drive.path_m[scan] - half_m;
+        let to_m = drive.path_m[scan] + half_m;
+        // The path never becomes shorter.
+        let first = drive.path_m.partition_point(|&m| m < from_m);
+        let last = drive.path_m.partition_point(|&m| m <= to_m);
+        let node_from_map = poses[scan].inverse();
+        let members: Vec<NodeMember<'_>> = (first..last)
+            .map(|k| NodeMember {
+                node_from_scan: node_from_map * poses[k],
+                scan: drive.scans[k],
+                points: &drive.points[k],
+            })
+            .collect();
+        Self::new(&members, options)
     }
 }

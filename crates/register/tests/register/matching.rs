@@ -1,6 +1,7 @@
 use std::f64::consts::PI;
 
 use dataset::{Pose2, RangeLimits, SplitMix64, wrap_angle};
+use model::{Detector, OdometryNoise};
 use nalgebra::Vector3;
 use register::{
     AlignOptions, BlurredMap, Matched, MatcherOptions, Points, Preference, Prior, ScanMatcher,
@@ -8,6 +9,11 @@ use register::{
 };
 
 use crate::world::{World, lap};
+
+/// A robot with bad wheels.
+fn noise() -> OdometryNoise {
+    Detector::starting_values().odometry
+}
 
 const LIMITS: RangeLimits = RangeLimits { min_m: 0.1, max_m: 25.0 };
 
@@ -33,9 +39,10 @@ fn matched(
     odometry: &[Pose2],
     coverage_deg: u32,
     options: MatcherOptions,
+    noise: OdometryNoise,
 ) -> Vec<Matched> {
     let mut random = SplitMix64::new(11);
-    let mut matcher = ScanMatcher::new(options);
+    let mut matcher = ScanMatcher::new(options, noise);
     let steps = truth.iter().zip(odometry);
     steps
         .map(|(truth, odometry)| {
@@ -72,7 +79,8 @@ fn odometry_that_drifts_by_degrees_per_metre_is_corrected() {
     let (before_m, _) = error_over_10_m(&truth, &odometry);
     assert!(before_m > 3.0, "{before_m}");
     for coverage_deg in [180, 360] {
-        let matched = matched(&world, &truth, &odometry, coverage_deg, MatcherOptions::default());
+        let matched =
+            matched(&world, &truth, &odometry, coverage_deg, MatcherOptions::default(), noise());
         let poses: Vec<Pose2> = matched.iter().map(|matched| matched.pose).collect();
         let (error_m, error_deg) = error_over_10_m(&truth, &poses);
         assert!(error_m < 0.03 && error_deg < 0.3, "{coverage_deg}: {error_m} m, {error_deg} deg");
@@ -89,13 +97,14 @@ fn a_robot_that_reverses_while_its_wheels_count_forward_is_found() {
     let mut odometry = truth.clone();
     truth.push(step(4.5));
     odometry.push(step(5.5));
+    let loose = OdometryNoise { std_m_per_m: 1.0, ..noise() };
     let error_m = |options: MatcherOptions| {
-        let matched = matched(&world, &truth, &odometry, 360, options);
+        let matched = matched(&world, &truth, &odometry, 360, options, loose);
         matched.last().unwrap().pose.distance_m(truth.last().unwrap())
     };
-    let loose = MatcherOptions { odometry_std_per_m: 1.0, ..MatcherOptions::default() };
-    assert!(error_m(loose) < 0.1, "{}", error_m(loose));
-    let without = MatcherOptions { enough_near_share: 0.0, ..loose };
+    let with = MatcherOptions::default();
+    assert!(error_m(with) < 0.1, "{}", error_m(with));
+    let without = MatcherOptions { enough_near_share: 0.0, ..with };
     assert!(error_m(without) > 0.5, "{}", error_m(without));
 }
 
@@ -110,7 +119,7 @@ fn in_a_bare_corridor_the_odometry_decides_along_the_axis() {
         .iter()
         .map(|pose| Pose2 { x_m: 0.9 * pose.x_m, y_m: 0.01 * pose.x_m, ..*pose })
         .collect();
-    let matched = matched(&world, &truth, &odometry, 360, MatcherOptions::default());
+    let matched = matched(&world, &truth, &odometry, 360, MatcherOptions::default(), noise());
     for (matched, odometry) in matched.iter().zip(&odometry).skip(1) {
         let pose = matched.pose;
         // The noise of the returns moves the pose a little, because normals are estimated.

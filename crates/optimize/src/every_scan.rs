@@ -1,0 +1,131 @@
+//! A pose for every scan, also those between the scans of the drive.
+
+use dataset::{Pose2, RangeLimits};
+use rayon::prelude::*;
+use register::{AlignOptions, Drive, OdometryScan, Points, Prior, Target, align, points_of};
+
+use crate::guided::Squares;
+use crate::places::between;
+
+/// The map of a scan consists of the scans of the drive up to this far from it \[m\].
+const NEAR_M: f64 = 2.5;
+/// The most scans in that map, those with a similar position and heading first.
+const MAX_SCANS: usize = 24;
+/// A difference of one radian of heading counts as much as this distance \[m\].
+const M_PER_RAD: f64 = 1.0;
+/// Scans with fewer points keep the pose by odometry.
+const MIN_POINTS: usize = 20;
+/// Standard deviation of the pose carried by odometry from the nearest scans of the drive.
+const PRIOR_STD_M: f64 = 0.1;
+const PRIOR_STD_DEG: f64 = 6.0;
+/// Path that a turn by one radian counts as, between two scans \[m\].
+const PATH_PER_RAD: f64 = 0.3;
+
+/// Aligns every scan with the map of the optimized drive. `registered` are the ascending indices of the
+/// scans of the drive in `scans`; `poses` are their optimized poses. Returns a pose of the lidar for
+/// each of `scans`.
+///
+/// The start and the prior of a scan between two scans of the drive are their poses, carried by the
+/// odometry, where the difference at the end is spread over the path.
+///
+/// # Panics
+/// If `poses` and `registered` do not have one entry per scan of the drive.
+pub fn align_every_scan(
+    drive: &Drive<'_>,
+    poses: &[Pose2],
+    registered: &[usize],
+    scans: &[OdometryScan<'_>],
+    limits: RangeLimits,
+) -> Vec<Pose2> {
+    assert!(poses.len() == drive.scans.len() && registered.len() == poses.len());
+    let mut every = carried(poses, registered, scans);
+    let squares = Squares::of_size(poses, NEAR_M);
+    let pieces: Vec<Vec<(usize, Pose2)>> = (0..registered.len())
+        .into_par_iter()
+        .map(|k| {
+            let next = registered.get(k + 1).copied().unwrap_or(scans.len());
+            let between = registered[k] + 1..next;
+            if between.is_empty() {
+                return Vec::new();
+            }
+            let target = local_map(drive, poses, &squares, k);
+            let node_from_map = poses[k].inverse();
+            between
+                .filter_map(|scan| {
+                    let points = points_of(scans[scan].scan, limits);
+                    let start = node_from_map * every[scan];
+                    let pose = aligned(&points, &target, &start)?;
+                    Some((scan, poses[k] * pose))
+                })
+                .collect()
+        })
+        .collect();
+    for (scan, pose) in pieces.into_iter().flatten() {
+        every[scan] = pose;
+    }
+    every
+}
+
+/// The points around scan `k` of the drive, in its frame.
+fn local_map(drive: &Drive<'_>, poses: &[Pose2], squares: &Squares, k: usize) -> Target {
+    let mut near: Vec<(f64, usize)> = squares
+        .around(&poses[k])
+        .filter(|&other| poses[other].distance_m(&poses[k]) <= NEAR_M)
+        .map(|other| {
+            let turn_rad = poses[other].heading_difference_rad(&poses[k]);
+            (poses[other].distance_m(&poses[k]) + M_PER_RAD * turn_rad, other)
+        })
+        .collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    near.truncate(MAX_SCANS);
+    let mut members: Vec<usize> = near.into_iter().map(|(_, other)| other).collect();
+    members.extend([k.saturating_sub(1), k, (k + 1).min(poses.len() - 1)]);
+    members.sort_unstable();
+    members.dedup();
+    let mut points = Points::default();
+    for other in members {
+        points.extend_from(&(poses[k].inverse() * poses[other]), &drive.points[other]);
+    }
+    Target::new(points, OPTIONS_REACH_M)
+}
+
+/// The first gate of the alignment \[m\].
+const OPTIONS_REACH_M: f64 = 0.3;
+
+fn aligned(points: &Points, target: &Target, start: &Pose2) -> Option<Pose2> {
+    if points.len() < MIN_POINTS {
+        return None;
+    }
+    let options = AlignOptions {
+        first_gate_m: OPTIONS_REACH_M,
+        last_gate_m: 0.15,
+        ..AlignOptions::default()
+    };
+    let prior = Prior::independent(*start, PRIOR_STD_M, PRIOR_STD_M, PRIOR_STD_DEG.to_radians());
+    Some(align(points, target, start, &prior, &options).target_from_source)
+}
+
+/// The poses of the scans of the drive, carried to all scans by the odometry.
+fn carried(poses: &[Pose2], registered: &[usize], scans: &[OdometryScan<'_>]) -> Vec<Pose2> {
+    let mut path = vec![0.0; scans.len()];
+    for k in 1..scans.len() {
+        let (a, b) = (&scans[k - 1].odometry, &scans[k].odometry);
+        let turn = PATH_PER_RAD * a.heading_difference_rad(b);
+        path[k] = path[k - 1] + a.distance_m(b) + turn + f64::EPSILON;
+    }
+    (0..scans.len())
+        .map(|scan| {
+            let k = registered.partition_point(|&r| r <= scan).saturating_sub(1);
+            let next = (k + 1).min(registered.len() - 1);
+            let from = |k: usize| {
+                poses[k] * (scans[registered[k]].odometry.inverse() * scans[scan].odometry)
+            };
+            let (start, end) = (path[registered[k]], path[registered[next]]);
+            let weight = match scan <= registered[k] || end <= start {
+                true => 0.0,
+                false => ((path[scan] - start) / (end - start)).min(1.0),
+            };
+            between(&from(k), &from(next), weight)
+        })
+        .collect()
+}

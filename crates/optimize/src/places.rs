@@ -1,0 +1,83 @@
+//! The vertices of the pose graph: places along a drive, with their submaps.
+
+use dataset::{Pose2, wrap_angle};
+use model::Drift;
+use rayon::prelude::*;
+use register::{BlurredMap, Drive, Node, SubmapOptions};
+
+use crate::graph::Edge;
+
+/// A square of the blurred walls of a node \[m\], and their standard deviation \[m\].
+const MAP_SQUARE_M: f64 = 0.1;
+const MAP_BLUR_M: f64 = 0.15;
+
+/// A place with what comparisons with other places need.
+pub(crate) struct Place {
+    /// Index of the scan in the drive.
+    pub(crate) scan: usize,
+    pub(crate) path_m: f64,
+    pub(crate) node: Node,
+    pub(crate) walls: BlurredMap,
+}
+
+/// Joins the scans around each of `scans`. Each submap is rigid, with the poses `poses`.
+pub(crate) fn make_places(
+    drive: &Drive<'_>,
+    poses: &[Pose2],
+    scans: &[usize],
+    half_m: f64,
+) -> Vec<Place> {
+    let options = SubmapOptions::default();
+    let place = |&scan: &usize| {
+        let node = Node::around(drive, poses, scan, half_m, &options);
+        let walls = BlurredMap::new(node.target().points(), MAP_SQUARE_M, MAP_BLUR_M);
+        Place { scan, path_m: drive.path_m[scan], node, walls }
+    };
+    scans.par_iter().map(place).collect()
+}
+
+/// Path that counts for the drift between two places at least \[m\].
+const MIN_STEP_M: f64 = 0.2;
+
+/// The edges between consecutive places: relative poses by scan matching, with errors that grow with
+/// the square root of the path.
+pub(crate) fn chain(drive: &Drive<'_>, scans: &[usize], drift: &Drift) -> Vec<Edge> {
+    let edge = |(k, pair): (usize, &[usize])| {
+        let [from, to] = [pair[0], pair[1]];
+        let step = drive.poses[from].inverse() * drive.poses[to];
+        let root = libm::sqrt((drive.path_m[to] - drive.path_m[from]).max(MIN_STEP_M));
+        let (std_m, std_rad) = (drift.std_m_per_sqrt_m * root, drift.std_rad_per_sqrt_m * root);
+        Edge::independent(k, k + 1, step, std_m, std_rad)
+    };
+    scans.windows(2).enumerate().map(edge).collect()
+}
+
+/// Carries the poses of places to all scans of a drive: each scan keeps its relative pose to the place
+/// before and to the place after it, weighted by its position between them.
+///
+/// `before` are the poses of all scans, `places` the ascending indices of the places, and `after` their
+/// new poses.
+pub(crate) fn carry(before: &[Pose2], places: &[usize], after: &[Pose2]) -> Vec<Pose2> {
+    let Some(&first) = places.first() else { return before.to_vec() };
+    (0..before.len())
+        .map(|scan| {
+            let k = places.partition_point(|&place| place <= scan).saturating_sub(1);
+            let next = (k + 1).min(places.len() - 1);
+            let from = |k: usize| after[k] * (before[places[k]].inverse() * before[scan]);
+            let weight = match scan < first || next == k {
+                true => 0.0,
+                false => (scan - places[k]) as f64 / (places[next] - places[k]) as f64,
+            };
+            between(&from(k), &from(next), weight)
+        })
+        .collect()
+}
+
+/// The pose between two poses that are close to each other.
+pub(crate) fn between(a: &Pose2, b: &Pose2, weight: f64) -> Pose2 {
+    Pose2 {
+        x_m: a.x_m + weight * (b.x_m - a.x_m),
+        y_m: a.y_m + weight * (b.y_m - a.y_m),
+        heading_rad: wrap_angle(a.heading_rad + weight * wrap_angle(b.heading_rad - a.heading_rad)),
+    }
+}

@@ -1,0 +1,257 @@
+//! From proposals to accepted closures and poses.
+
+use std::collections::BTreeMap;
+
+use dataset::Pose2;
+use model::{Detector, Evidence};
+use nalgebra::Matrix3;
+use register::{
+    Drive, JointOptions, JointScans, align_jointly, pairs_along_path, places as places_along,
+};
+
+use crate::graph::{Edge, covariances};
+use crate::guided::{Compared, Limit, Squares, compare, covariance, predictions};
+use crate::places::{chain, make_places};
+use crate::support::{Graph, Link};
+use crate::{Closure, Proposal, Reason, Solution};
+
+/// Path between two places of the pose graph \[m\].
+const PLACE_STEP_M: f64 = 2.5;
+/// A submap holds the scans up to this far along the path before and after its place \[m\].
+const HALF_M: f64 = 5.0;
+/// Each keyframe is compared with at most so many references, one per piece of path.
+const KEYFRAME_LIMIT: Limit = Limit { most: 3, every_m: 1.5 };
+
+/// Chooses the closures of a drive and optimizes its poses. Without an accepted closure, the poses are
+/// those of the drive.
+///
+/// 1. Proposals with enough confidence enter a pose graph of places along the drive. Graduated
+///    non-convexity keeps those that agree with each other and with the odometry.
+/// 2. Every pair of places that the optimized poses predict to be the same is compared. Groups of
+///    closures whose predictions the scans do not confirm are dropped, and the first step is repeated
+///    (the share test).
+/// 3. All scans are aligned jointly, also over the closures.
+/// 4. Every keyframe is compared with the earlier keyframes near it. The confirmed pairs are the
+///    accepted closures.
+pub fn close_loops(
+    drive: &Drive<'_>,
+    proposals: &[Proposal],
+    detector: &Detector,
+    min_path_m: f64,
+) -> Solution {
+    let mut scans = places_along(drive, PLACE_STEP_M);
+    scans.extend(proposals.iter().flat_map(|proposal| [proposal.query, proposal.reference]));
+    scans.sort_unstable();
+    scans.dedup();
+    let is_offered = |proposal: &Proposal| detector.min_confidence <= proposal.confidence;
+    let (offered, links): (Vec<usize>, Vec<Link>) = proposals
+        .iter()
+        .enumerate()
+        .filter(|(_, proposal)| is_offered(proposal))
+        .filter_map(|(k, proposal)| Some((k, Link::of_proposal(proposal, &scans)?)))
+        .unzip();
+    let mut reasons: Vec<Option<Reason>> = vec![Some(Reason::LowConfidence); proposals.len()];
+    offered.iter().for_each(|&k| reasons[k] = Some(Reason::Inconsistent));
+    if links.is_empty() {
+        return unclosed(drive, proposals, &reasons, detector, Vec::new());
+    }
+    let places = make_places(drive, &drive.poses, &scans, HALF_M);
+    let graph = Graph {
+        drive,
+        places: &places,
+        scans: &scans,
+        drift: detector.drift,
+        noise: detector.closure,
+        min_path_m,
+    };
+    let outcome = graph.supported(&links);
+    for (position, &k) in offered.iter().enumerate() {
+        if outcome.kept[position] {
+            reasons[k] = None;
+        } else if outcome.unsupported[position] {
+            reasons[k] = Some(Reason::Unsupported);
+        }
+    }
+    let Some(confirmed) = outcome.confirmed else {
+        return unclosed(drive, proposals, &reasons, detector, outcome.rounds);
+    };
+    drop(places);
+    let poses = align_all(drive, &graph_poses(drive, &scans, &confirmed.poses), detector);
+    let compared = compare_keyframes(drive, &poses, min_path_m);
+    closed(drive, proposals, &reasons, detector, poses, &compared, outcome.rounds)
+}
+
+fn graph_poses(drive: &Drive<'_>, scans: &[usize], poses: &[Pose2]) -> Vec<Pose2> {
+    crate::places::carry(&drive.poses, scans, poses)
+}
+
+/// A pair of keyframes, after the comparison.
+struct ComparedKeyframes {
+    reference: usize,
+    query: usize,
+    compared: Compared,
+}
+
+/// Compares each keyframe with the earlier keyframes near it. Submaps keep the poses of scan matching,
+/// so that a closure is a measurement of its scans alone.
+fn compare_keyframes(
+    drive: &Drive<'_>,
+    poses: &[Pose2],
+    min_path_m: f64,
+) -> Vec<ComparedKeyframes> {
+    let keyframes: Vec<usize> = (0..drive.scans.len()).filter(|&k| drive.is_keyframe[k]).collect();
+    let places = make_places(drive, &drive.poses, &keyframes, HALF_M);
+    let place_poses: Vec<Pose2> = keyframes.iter().map(|&k| poses[k]).collect();
+    let predicted = predictions(&places, &place_poses, min_path_m, Some(KEYFRAME_LIMIT));
+    compare(&places, &predicted)
+        .into_iter()
+        .map(|compared| ComparedKeyframes {
+            reference: places[compared.reference].scan,
+            query: places[compared.query].scan,
+            compared,
+        })
+        .collect()
+}
+
+/// Iterations of the joint alignment with closures.
+const JOINT_ITERATIONS: u32 = 10;
+/// Scans up to this far apart are aligned over closures \[m\].
+const LOOP_REACH_M: f64 = 3.0;
+/// They have at least this much path between them \[m\].
+const LOOP_GAP_M: f64 = 5.0;
+/// The most earlier scans per scan, one per metre of path.
+const LOOP_PARTNERS: usize = 6;
+
+/// Aligns all scans jointly, along the path and over the closures.
+fn align_all(drive: &Drive<'_>, poses: &[Pose2], detector: &Detector) -> Vec<Pose2> {
+    let mut pairs = pairs_along_path(&drive.path_m, 5.0, 0.5, 4);
+    pairs.extend(pairs_over_closures(drive, poses));
+    let scans =
+        JointScans { points: &drive.points, odometry: &drive.odometry, path_m: &drive.path_m };
+    let options = JointOptions { iterations: JOINT_ITERATIONS, ..JointOptions::default() };
+    align_jointly(&scans, poses, &pairs, &detector.odometry, &options)
+}
+
+/// Pairs of scans that are close by the poses but not along the path.
+fn pairs_over_closures(drive: &Drive<'_>, poses: &[Pose2]) -> Vec<(usize, usize)> {
+    let squares = Squares::of_size(poses, LOOP_REACH_M);
+    let mut pairs = Vec::new();
+    for later in 0..poses.len() {
+        let mut near: Vec<(f64, usize)> = squares
+            .around(&poses[later])
+            .filter(|&k| k < later && LOOP_GAP_M < drive.path_m[later] - drive.path_m[k])
+            .filter(|&k| poses[k].distance_m(&poses[later]) <= LOOP_REACH_M)
+            .map(|k| {
+                let turn_rad = poses[k].heading_difference_rad(&poses[later]);
+                (poses[k].distance_m(&poses[later]) + turn_rad, k)
+            })
+            .collect();
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        let mut metres: Vec<i64> = Vec::new();
+        for (_, earlier) in near {
+            let metre = libm::floor(drive.path_m[earlier]) as i64;
+            if !metres.contains(&metre) {
+                metres.push(metre);
+                pairs.push((earlier, later));
+            }
+            if metres.len() == LOOP_PARTNERS {
+                break;
+            }
+        }
+    }
+    pairs
+}
+
+/// A drive without accepted closures.
+fn unclosed(
+    drive: &Drive<'_>,
+    proposals: &[Proposal],
+    reasons: &[Option<Reason>],
+    detector: &Detector,
+    rounds: Vec<crate::Round>,
+) -> Solution {
+    // A closure that the graph kept, in a map that its scans do not confirm.
+    let closures = proposals.iter().zip(reasons).map(|(&proposal, &reason)| Closure {
+        proposal,
+        rejected: Some(reason.unwrap_or(Reason::Unsupported)),
+    });
+    let (covariances, edges) = graph_of(drive, &drive.poses, &[], detector);
+    Solution {
+        closures: closures.collect(),
+        poses: drive.poses.clone(),
+        covariances,
+        edges,
+        rounds,
+    }
+}
+
+/// A drive with accepted closures.
+fn closed(
+    drive: &Drive<'_>,
+    proposals: &[Proposal],
+    reasons: &[Option<Reason>],
+    detector: &Detector,
+    poses: Vec<Pose2>,
+    compared: &[ComparedKeyframes],
+    rounds: Vec<crate::Round>,
+) -> Solution {
+    // Compared keyframes take the place of the proposal for the same pair.
+    let mut closures: BTreeMap<(usize, usize), Closure> = proposals
+        .iter()
+        .zip(reasons)
+        .map(|(&proposal, &reason)| {
+            let rejected = Some(reason.unwrap_or(Reason::NotConfirmed));
+            ((proposal.query, proposal.reference), Closure { proposal, rejected })
+        })
+        .collect();
+    for pair in compared {
+        let fit = &pair.compared.fit;
+        let proposal = closures.get(&(pair.query, pair.reference)).map(|c| c.proposal.evidence);
+        let evidence = Evidence {
+            overlap: fit.overlap,
+            known_overlap: fit.known_overlap,
+            n_known: fit.n_known as u32,
+            conflict: fit.known_conflict(),
+            margin: proposal.map_or(0.0, |evidence| evidence.margin),
+            weakness: fit.alignment.weakness().map_or(0.0, |weakness| weakness.ratio),
+            classifier: proposal.and_then(|evidence| evidence.classifier),
+        };
+        let rejected = (!pair.compared.is_confirmed()).then_some(Reason::NotConfirmed);
+        let proposal = Proposal {
+            query: pair.query,
+            reference: pair.reference,
+            reference_from_query: fit.a_from_b,
+            covariance: covariance(fit, &detector.closure),
+            confidence: detector.verifier.confidence(&evidence),
+            evidence,
+        };
+        closures.insert((pair.query, pair.reference), Closure { proposal, rejected });
+    }
+    let closures: Vec<Closure> = closures.into_values().collect();
+    let accepted: Vec<Proposal> =
+        closures.iter().filter(|c| c.rejected.is_none()).map(|c| c.proposal).collect();
+    let (covariances, edges) = graph_of(drive, &poses, &accepted, detector);
+    Solution { closures, poses, covariances, edges, rounds }
+}
+
+/// The pose graph over all scans of a drive with its accepted closures, and the covariances of the
+/// poses.
+fn graph_of(
+    drive: &Drive<'_>,
+    poses: &[Pose2],
+    accepted: &[Proposal],
+    detector: &Detector,
+) -> (Vec<Matrix3<f64>>, Vec<Edge>) {
+    let scans: Vec<usize> = (0..drive.scans.len()).collect();
+    let mut edges = chain(drive, &scans, &detector.drift);
+    edges.extend(accepted.iter().filter_map(|closure| {
+        Some(Edge {
+            a: closure.reference,
+            b: closure.query,
+            a_from_b: closure.reference_from_query,
+            information: closure.covariance.cholesky()?.inverse(),
+        })
+    }));
+    let unknown = || vec![Matrix3::zeros(); poses.len()];
+    (covariances(&edges, poses).unwrap_or_else(unknown), edges)
+}

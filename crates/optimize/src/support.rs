@@ -1,0 +1,270 @@
+//! The share test: a map is right if its scans confirm the places that it predicts to be the same.
+
+use dataset::Pose2;
+use model::{ClosureNoise, Drift};
+use register::Drive;
+
+use crate::gnc::reject_false_closures;
+use crate::graph::Edge;
+use crate::guided::{Compared, compare, predictions};
+use crate::places::{Place, carry, chain};
+use crate::{Proposal, Round};
+
+/// Two closures belong to the same group if both of their places are this close along the path \[m\].
+const GROUP_M: f64 = 6.0;
+/// A group with a smaller share of confirmed predictions is dropped.
+const MIN_GROUP_SHARE: f64 = 0.4;
+/// A map with a smaller share of confirmed predictions is not accepted. Right maps have 0.92 and more,
+/// wrong ones at most 0.57.
+pub(crate) const MIN_SHARE: f64 = 0.8;
+/// The least number of confirmed predictions of a map.
+pub(crate) const MIN_CONFIRMED: usize = 3;
+/// Predictions of places that know less of each other than this say nothing about a group.
+const MIN_KNOWN: f64 = 0.2;
+/// The most rounds. Each one drops at least one group.
+const MAX_ROUNDS: usize = 100;
+/// The last rounds end when no pose moves by more than this \[m\].
+const CONVERGED_M: f64 = 0.05;
+const MAX_LAST_ROUNDS: usize = 4;
+
+/// What the search for consistent closures needs.
+pub(crate) struct Graph<'a> {
+    pub(crate) drive: &'a Drive<'a>,
+    pub(crate) places: &'a [Place],
+    /// The index of the scan of each place.
+    pub(crate) scans: &'a [usize],
+    pub(crate) drift: Drift,
+    pub(crate) noise: ClosureNoise,
+    pub(crate) min_path_m: f64,
+}
+
+/// A relative pose between two places.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Link {
+    /// Index of the earlier place.
+    pub(crate) reference: usize,
+    /// Index of the later place.
+    pub(crate) query: usize,
+    pub(crate) reference_from_query: Pose2,
+}
+
+/// Poses that the scans confirm.
+pub(crate) struct Confirmed {
+    /// The poses of the places.
+    pub(crate) poses: Vec<Pose2>,
+    /// The pairs of places whose scans confirm the poses.
+    pub(crate) compared: Vec<Compared>,
+    pub(crate) rounds: Vec<Round>,
+}
+
+/// What became of the closures that were offered.
+pub(crate) struct Outcome {
+    /// Where closures survive: the map.
+    pub(crate) confirmed: Option<Confirmed>,
+    /// For each link offered: whether it was kept.
+    pub(crate) kept: Vec<bool>,
+    /// For each link offered: whether it was dropped with its group because the scans do not support
+    /// it.
+    pub(crate) unsupported: Vec<bool>,
+    pub(crate) rounds: Vec<Round>,
+}
+
+impl Graph<'_> {
+    fn edges(&self, links: &[Link]) -> Vec<Edge> {
+        let edge = |link: &Link| {
+            let Link { reference, query, reference_from_query } = *link;
+            let noise = &self.noise;
+            Edge::independent(reference, query, reference_from_query, noise.std_m, noise.std_rad)
+        };
+        links.iter().map(edge).collect()
+    }
+
+    /// Chooses the links that agree with each other and with the odometry.
+    fn choose(&self, links: &[Link]) -> (Vec<bool>, Vec<Pose2>) {
+        let odometry = chain(self.drive, self.scans, &self.drift);
+        let start: Vec<Pose2> = self.scans.iter().map(|&k| self.drive.poses[k]).collect();
+        let robust = reject_false_closures(&odometry, &self.edges(links), &start);
+        (robust.is_kept, robust.poses)
+    }
+
+    fn compare_predictions(&self, poses: &[Pose2]) -> Vec<Compared> {
+        compare(self.places, &predictions(self.places, poses, self.min_path_m, None))
+    }
+
+    /// Drops groups of links that the scans do not support, until the rest is supported or nothing is
+    /// left.
+    pub(crate) fn supported(&self, links: &[Link]) -> Outcome {
+        let mut outcome = Outcome {
+            confirmed: None,
+            kept: vec![false; links.len()],
+            unsupported: vec![false; links.len()],
+            rounds: Vec::new(),
+        };
+        let mut active: Vec<usize> = (0..links.len()).collect();
+        for _ in 0..MAX_ROUNDS {
+            let offered: Vec<Link> = active.iter().map(|&k| links[k]).collect();
+            let (is_kept, poses) = self.choose(&offered);
+            let kept: Vec<usize> =
+                active.iter().zip(&is_kept).filter(|(_, kept)| **kept).map(|(&k, _)| k).collect();
+            if kept.is_empty() {
+                return outcome;
+            }
+            let compared = self.compare_predictions(&poses);
+            let n_confirmed = compared.iter().filter(|c| c.is_confirmed()).count();
+            outcome.rounds.push(Round {
+                n_offered: offered.len(),
+                n_kept: kept.len(),
+                n_predicted: compared.len(),
+                n_confirmed,
+            });
+            let kept_links: Vec<Link> = kept.iter().map(|&k| links[k]).collect();
+            let groups = self.groups(&kept_links);
+            let bad = self.unsupported_groups(&kept_links, &groups, &compared);
+            if bad.is_empty() {
+                kept.iter().for_each(|&k| outcome.kept[k] = true);
+                outcome.confirmed = self.settle(&kept_links, poses, compared, &mut outcome.rounds);
+                if outcome.confirmed.is_none() {
+                    outcome.kept.fill(false);
+                    kept.iter().for_each(|&k| outcome.unsupported[k] = true);
+                }
+                return outcome;
+            }
+            for (&k, group) in kept.iter().zip(&groups) {
+                if bad.contains(group) {
+                    outcome.unsupported[k] = true;
+                }
+            }
+            active.retain(|&k| !outcome.unsupported[k]);
+        }
+        outcome
+    }
+
+    /// The group of each link: links whose places are close along the path, directly or through others.
+    fn groups(&self, links: &[Link]) -> Vec<usize> {
+        let path_m = |place: usize| self.places[place].path_m;
+        let is_close = |a: &Link, b: &Link| {
+            (path_m(a.reference) - path_m(b.reference)).abs() <= GROUP_M
+                && (path_m(a.query) - path_m(b.query)).abs() <= GROUP_M
+        };
+        let mut groups = vec![usize::MAX; links.len()];
+        let mut n_groups = 0;
+        for first in 0..links.len() {
+            if groups[first] != usize::MAX {
+                continue;
+            }
+            groups[first] = n_groups;
+            let mut open = vec![first];
+            while let Some(k) = open.pop() {
+                for other in 0..links.len() {
+                    if groups[other] == usize::MAX && is_close(&links[k], &links[other]) {
+                        groups[other] = n_groups;
+                        open.push(other);
+                    }
+                }
+            }
+            n_groups += 1;
+        }
+        groups
+    }
+
+    /// The groups to drop: of those with too small a share of confirmed predictions the worse half, or
+    /// the worst one if the share of the whole map is too small.
+    fn unsupported_groups(
+        &self,
+        links: &[Link],
+        groups: &[usize],
+        compared: &[Compared],
+    ) -> Vec<usize> {
+        let n_groups = groups.iter().max().map_or(0, |max| max + 1);
+        let mut n_near = vec![0usize; n_groups];
+        let mut n_near_confirmed = vec![0usize; n_groups];
+        let path_m = |place: usize| self.places[place].path_m;
+        for pair in compared.iter().filter(|pair| MIN_KNOWN <= pair.fit.known) {
+            let mut of_pair: Vec<usize> = links
+                .iter()
+                .zip(groups)
+                .filter(|(link, _)| {
+                    (path_m(link.reference) - path_m(pair.reference)).abs() <= GROUP_M
+                        && (path_m(link.query) - path_m(pair.query)).abs() <= GROUP_M
+                })
+                .map(|(_, &group)| group)
+                .collect();
+            of_pair.sort_unstable();
+            of_pair.dedup();
+            for group in of_pair {
+                n_near[group] += 1;
+                n_near_confirmed[group] += usize::from(pair.is_confirmed());
+            }
+        }
+        let share = |group: usize| n_near_confirmed[group] as f64 / n_near[group].max(1) as f64;
+        let mut bad: Vec<usize> = (0..n_groups).filter(|&g| share(g) < MIN_GROUP_SHARE).collect();
+        bad.sort_by(|&a, &b| share(a).total_cmp(&share(b)).then(a.cmp(&b)));
+        bad.truncate(bad.len().div_ceil(2));
+        let n_confirmed = compared.iter().filter(|pair| pair.is_confirmed()).count();
+        let is_poor = (n_confirmed as f64) < MIN_SHARE * compared.len() as f64;
+        if bad.is_empty() && is_poor {
+            let worst = (0..n_groups).min_by(|&a, &b| share(a).total_cmp(&share(b)));
+            bad.extend(worst);
+        }
+        bad
+    }
+
+    /// Optimizes and compares until the poses stay. `None` if too few predictions are confirmed in the
+    /// end.
+    fn settle(
+        &self,
+        kept: &[Link],
+        mut poses: Vec<Pose2>,
+        mut compared: Vec<Compared>,
+        rounds: &mut Vec<Round>,
+    ) -> Option<Confirmed> {
+        for _ in 0..MAX_LAST_ROUNDS {
+            let mut links: Vec<Link> =
+                compared.iter().filter(|pair| pair.is_confirmed()).map(Link::of).collect();
+            let is_compared = |link: &Link| {
+                links.iter().any(|l| (l.reference, l.query) == (link.reference, link.query))
+            };
+            let rest: Vec<Link> = kept.iter().filter(|link| !is_compared(link)).copied().collect();
+            links.extend(rest);
+            let (is_kept, next) = self.choose(&links);
+            let moved_m = poses.iter().zip(&next).map(|(a, b)| a.distance_m(b)).fold(0.0, f64::max);
+            poses = next;
+            compared = self.compare_predictions(&poses);
+            rounds.push(Round {
+                n_offered: links.len(),
+                n_kept: is_kept.iter().filter(|kept| **kept).count(),
+                n_predicted: compared.len(),
+                n_confirmed: compared.iter().filter(|pair| pair.is_confirmed()).count(),
+            });
+            if moved_m < CONVERGED_M {
+                break;
+            }
+        }
+        let n_predicted = compared.len();
+        compared.retain(Compared::is_confirmed);
+        let is_enough = MIN_CONFIRMED <= compared.len()
+            && MIN_SHARE * n_predicted as f64 <= compared.len() as f64;
+        is_enough.then(|| Confirmed { poses, compared, rounds: Vec::new() })
+    }
+
+    /// The poses of all scans of the drive.
+    pub(crate) fn carried(&self, poses: &[Pose2]) -> Vec<Pose2> {
+        carry(&self.drive.poses, self.scans, poses)
+    }
+}
+
+impl Link {
+    fn of(pair: &Compared) -> Self {
+        let (reference, query) = (pair.reference, pair.query);
+        Self { reference, query, reference_from_query: pair.fit.a_from_b }
+    }
+
+    /// A proposal as a link, where both of its scans are places.
+    pub(crate) fn of_proposal(proposal: &Proposal, scans: &[usize]) -> Option<Self> {
+        Some(Self {
+            reference: scans.binary_search(&proposal.reference).ok()?,
+            query: scans.binary_search(&proposal.query).ok()?,
+            reference_from_query: proposal.reference_from_query,
+        })
+    }
+}

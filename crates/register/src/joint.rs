@@ -1,0 +1,284 @@
+//! Joint alignment: the poses of many scans at once, so that all pairs of them fit.
+
+use dataset::{Pose2, wrap_angle};
+use model::OdometryNoise;
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+
+use crate::points::{Motion, Points};
+use crate::sparse::BlockSystem;
+use crate::target::Target;
+
+/// How scans are aligned jointly.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointOptions {
+    /// Number of iterations.
+    pub iterations: u32,
+    /// A point and its partner are at most this far apart in the first iteration \[m\].
+    pub first_gate_m: f64,
+    /// The same in the last iterations \[m\].
+    pub last_gate_m: f64,
+    /// Residuals far above this value hardly count (Geman and McClure), in the first iteration \[m\].
+    pub first_scale_m: f64,
+    /// The same in the last iterations \[m\].
+    pub last_scale_m: f64,
+    /// Standard deviation of the distance of a point from the line of its partner \[m\].
+    pub noise_m: f64,
+    /// Number of points that count as one independent measurement.
+    pub points_per_measurement: f64,
+}
+
+impl Default for JointOptions {
+    fn default() -> Self {
+        Self {
+            iterations: 8,
+            first_gate_m: 0.35,
+            last_gate_m: 0.15,
+            first_scale_m: 0.1,
+            last_scale_m: 0.04,
+            noise_m: 0.03,
+            points_per_measurement: 20.0,
+        }
+    }
+}
+
+/// Scans that are aligned jointly. All slices have one entry per scan.
+#[derive(Debug, Clone, Copy)]
+pub struct JointScans<'a> {
+    /// The points of each scan, in its own frame.
+    pub points: &'a [Points],
+    /// The pose of each scan by odometry.
+    pub odometry: &'a [Pose2],
+    /// Path length by odometry \[m\].
+    pub path_m: &'a [f64],
+}
+
+/// Scans with fewer points take no part in pairs.
+const MIN_POINTS: usize = 6;
+/// One point per square of this size takes part as a source \[m\].
+const SOURCE_VOXEL_M: f64 = 0.05;
+/// The smallest cosine of the angle between the normals of a point and its partner: 37 deg.
+const MIN_NORMAL_COS: f64 = 0.8;
+/// In the first iteration, no pose moves by more than this \[m\], \[rad\].
+const MAX_FIRST_STEP: f64 = 0.3;
+/// Path that counts for the odometry error at least \[m\].
+const MIN_STEP_M: f64 = 0.05;
+/// Information that holds the first pose \[1/m^2\].
+const ANCHOR: f64 = 1e9;
+/// Added to the diagonal, so that a pose without any information stays.
+const DAMPING: f64 = 1e-6;
+
+/// Aligns all scans at once: point to line, over the given pairs of scans in both directions, with the
+/// odometry between consecutive scans as prior. The first pose stays.
+///
+/// Lu and Milios 1997, "Globally consistent range scan alignment for environment mapping", with the
+/// point-to-line metric and a robust weight.
+pub fn align_jointly(
+    scans: &JointScans<'_>,
+    poses: &[Pose2],
+    pairs: &[(usize, usize)],
+    noise: &OdometryNoise,
+    options: &JointOptions,
+) -> Vec<Pose2> {
+    let n = poses.len();
+    let targets: Vec<Option<Target>> = scans
+        .points
+        .par_iter()
+        .map(|points| {
+            (MIN_POINTS <= points.len()).then(|| Target::new(points.clone(), options.first_gate_m))
+        })
+        .collect();
+    let sources: Vec<Points> =
+        scans.points.par_iter().map(|points| points.thin(SOURCE_VOXEL_M)).collect();
+    let steps = (1..n).map(|k| (k - 1, k));
+    let mut system = BlockSystem::new(n, pairs.iter().copied().chain(steps));
+    let mut poses = poses.to_vec();
+    for iteration in 0..options.iterations {
+        let gates = Gates::of(iteration, options);
+        system.clear();
+        let terms: Vec<[Option<Term>; 2]> = pairs
+            .par_iter()
+            .map(|&(a, b)| {
+                let term = |a: usize, b: usize| {
+                    let target = targets[a].as_ref()?;
+                    let a_from_b = poses[a].inverse() * poses[b];
+                    Some(pair_term(&sources[b], target, &a_from_b, &gates))
+                };
+                [term(a, b), term(b, a)]
+            })
+            .collect();
+        for (&(a, b), [forward, backward]) in pairs.iter().zip(&terms) {
+            if let Some(term) = forward {
+                term.add_to(&mut system, a, b, &poses);
+            }
+            if let Some(term) = backward {
+                term.add_to(&mut system, b, a, &poses);
+            }
+        }
+        for k in 1..n {
+            odometry_term(scans, k, &poses, noise).add_to(&mut system, k - 1, k, &poses);
+        }
+        for k in 0..n {
+            let hold = if k == 0 { ANCHOR } else { DAMPING };
+            system.add(k, k, &Matrix3::from_diagonal_element(hold));
+        }
+        let Some(step) = system.solve(0.0) else { break };
+        for (pose, step) in poses.iter_mut().zip(step) {
+            let most = if iteration == 0 { MAX_FIRST_STEP } else { f64::INFINITY };
+            let step = step.map(|v| v.clamp(-most, most));
+            pose.x_m += step[0];
+            pose.y_m += step[1];
+            pose.heading_rad = wrap_angle(pose.heading_rad + step[2]);
+        }
+    }
+    poses
+}
+
+/// Pairs of scans along the path: each with the last few before it, and then with one per `every_m` of
+/// path, up to `reach_m` before it.
+pub fn pairs_along_path(
+    path_m: &[f64],
+    reach_m: f64,
+    every_m: f64,
+    n_last: usize,
+) -> Vec<(usize, usize)> {
+    let mut pairs = Vec::new();
+    for later in 0..path_m.len() {
+        let mut last = None;
+        for (count, earlier) in (0..later).rev().enumerate() {
+            if reach_m < path_m[later] - path_m[earlier] || MAX_SCANS_BACK <= count {
+                break;
+            }
+            let is_due = last.is_none_or(|last: usize| every_m <= path_m[last] - path_m[earlier]);
+            if count < n_last || is_due {
+                pairs.push((earlier, later));
+                last = Some(earlier);
+            }
+        }
+    }
+    pairs
+}
+
+/// A robot that turns in place has many scans within a metre of path. No more than this many before a
+/// scan are compared with it.
+const MAX_SCANS_BACK: usize = 60;
+
+/// The limits of an iteration.
+struct Gates {
+    gate_m: f64,
+    scale_m: f64,
+    /// Information of a point exactly on its line \[1/m^2\].
+    information: f64,
+}
+
+impl Gates {
+    fn of(iteration: u32, options: &JointOptions) -> Self {
+        let last = options.iterations.saturating_sub(3).max(1);
+        let share = (f64::from(iteration) / f64::from(last)).min(1.0);
+        let between = |first: f64, last: f64| first + share * (last - first);
+        Self {
+            gate_m: between(options.first_gate_m, options.last_gate_m),
+            scale_m: between(options.first_scale_m, options.last_scale_m),
+            information: 1.0 / (options.noise_m * options.noise_m * options.points_per_measurement),
+        }
+    }
+}
+
+/// A quadratic cost of the pose of one scan in the frame of another, about the current poses.
+struct Term {
+    /// Sum of w J^T J.
+    information: Matrix3<f64>,
+    /// Sum of w r J^T.
+    gradient: Vector3<f64>,
+}
+
+impl Term {
+    /// Adds the cost of the pose of b in the frame of a, as one of both poses in the map.
+    fn add_to(&self, system: &mut BlockSystem, a: usize, b: usize, poses: &[Pose2]) {
+        let [da, db] = relative_derivatives(&poses[a], &poses[b]);
+        let (to_a, to_b) = (da.transpose() * self.information, db.transpose() * self.information);
+        system.add(a, a, &(to_a * da));
+        system.add(b, b, &(to_b * db));
+        system.add(a, b, &(to_a * db));
+        system.add_right(a, &-(da.transpose() * self.gradient));
+        system.add_right(b, &-(db.transpose() * self.gradient));
+    }
+}
+
+/// Derivatives of the pose of b in the frame of a, with respect to x, y and heading of a and of b in
+/// the map.
+pub fn relative_derivatives(a: &Pose2, b: &Pose2) -> [Matrix3<f64>; 2] {
+    let (sin, cos) = libm::sincos(a.heading_rad);
+    let [dx, dy] = [b.x_m - a.x_m, b.y_m - a.y_m];
+    [
+        Matrix3::new(
+            -cos,
+            -sin,
+            -sin * dx + cos * dy, //
+            sin,
+            -cos,
+            -cos * dx - sin * dy, //
+            0.0,
+            0.0,
+            -1.0,
+        ),
+        Matrix3::new(
+            cos, sin, 0.0, //
+            -sin, cos, 0.0, //
+            0.0, 0.0, 1.0,
+        ),
+    ]
+}
+
+/// The distances of the points of one scan from the lines of another one.
+fn pair_term(source: &Points, target: &Target, target_from_source: &Pose2, gates: &Gates) -> Term {
+    let motion = Motion::new(target_from_source);
+    let [mut xx, mut xy, mut xh, mut yy, mut yh, mut hh] = [0.0; 6];
+    let [mut gx, mut gy, mut gh] = [0.0; 3];
+    for (&q, normal) in source.positions_m.iter().zip(&source.normals) {
+        let Some(normal) = *normal else { continue };
+        let turned = motion.direction(q);
+        let moved = [turned[0] + target_from_source.x_m, turned[1] + target_from_source.y_m];
+        let Some(partner) = target.nearest(moved, gates.gate_m) else { continue };
+        let Some(n) = target.points().normals[partner] else { continue };
+        let m = motion.direction(normal);
+        if m[0] * n[0] + m[1] * n[1] < MIN_NORMAL_COS {
+            continue;
+        }
+        let p = target.points().positions_m[partner];
+        let residual_m = (moved[0] - p[0]) * n[0] + (moved[1] - p[1]) * n[1];
+        let scaled = residual_m / gates.scale_m;
+        let robust = 1.0 / (1.0 + scaled * scaled);
+        let w = gates.information * robust * robust;
+        let h = n[1] * turned[0] - n[0] * turned[1];
+        xx += w * n[0] * n[0];
+        xy += w * n[0] * n[1];
+        xh += w * n[0] * h;
+        yy += w * n[1] * n[1];
+        yh += w * n[1] * h;
+        hh += w * h * h;
+        gx += w * residual_m * n[0];
+        gy += w * residual_m * n[1];
+        gh += w * residual_m * h;
+    }
+    Term {
+        information: Matrix3::new(xx, xy, xh, xy, yy, yh, xh, yh, hh),
+        gradient: Vector3::new(gx, gy, gh),
+    }
+}
+
+/// The difference of a step from that of the odometry.
+fn odometry_term(scans: &JointScans<'_>, k: usize, poses: &[Pose2], noise: &OdometryNoise) -> Term {
+    let step_m = (scans.path_m[k] - scans.path_m[k - 1]).max(MIN_STEP_M);
+    let std_m = noise.std_m_per_m * step_m + noise.std_m;
+    let std_rad = noise.std_rad_per_sqrt_m * libm::sqrt(step_m) + noise.std_rad;
+    let weights = Vector3::new(std_m, std_m, std_rad).map(|std| 1.0 / (std * std));
+    let measured = scans.odometry[k - 1].inverse() * scans.odometry[k];
+    let step = poses[k - 1].inverse() * poses[k];
+    let error = Vector3::new(
+        step.x_m - measured.x_m,
+        step.y_m - measured.y_m,
+        wrap_angle(step.heading_rad - measured.heading_rad),
+    );
+    Term { information: Matrix3::from_diagonal(&weights), gradient: weights.component_mul(&error) }
+}
