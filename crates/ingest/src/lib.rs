@@ -62,6 +62,7 @@ pub use messages::hdl32e::HORIZONTAL_LASER;
 pub use options::{Clock, LidarOptions, Options};
 pub use pose::file::PoseFileError;
 pub use pose::frames::LookupError;
+pub use pose::only::read_poses;
 pub use pose::wheel_error::WheelError;
 pub use pose_options::{Frames, Jumps, Origin, PlanarPose, PoseOptionError, PoseOptions};
 pub use scan::assemble::Ingested;

@@ -10,6 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
+use crate::detection::{DetectSection, OptimizeSection, check_register};
 use crate::logs::{self, LogFile, stem};
 
 /// The command line or the pipeline file is invalid; exit code 2.
@@ -52,7 +53,14 @@ pub(crate) struct Config {
     #[serde(default)]
     pub(crate) featurize: featurize::Options,
     #[serde(default)]
+    pub(crate) register: register::RegisterOptions,
+    /// Finds loop closures, too. Without this section, only `loopboost detect` does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) detect: Option<DetectSection>,
+    #[serde(default)]
     pub(crate) train: train::Options,
+    #[serde(default)]
+    pub(crate) optimize: OptimizeSection,
     #[serde(default)]
     pub(crate) evaluate: EvaluateSection,
     /// Folder of the pipeline file. Paths in `ingest.logs` are relative to it.
@@ -114,6 +122,10 @@ pub(crate) struct EvaluateSection {
     pub(crate) max_pairs: u64,
     /// The error under other label rules.
     pub(crate) grid: experiment::GridOptions,
+    /// Where the ground truth comes from, with the options of `ingest.pose`. Only `train` and `evaluate`
+    /// use it, to fit the detector and to measure closures and trajectories.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) truth: Option<PoseOptions>,
 }
 
 impl Default for EvaluateSection {
@@ -141,6 +153,7 @@ impl Default for EvaluateSection {
             min_separation_m,
             max_pairs,
             grid,
+            truth: None,
         }
     }
 }
@@ -160,6 +173,7 @@ impl EvaluateSection {
             min_separation_m,
             max_pairs,
             grid,
+            truth: _,
         } = self.clone();
         let experiment = experiment::Options {
             folds,
@@ -184,6 +198,9 @@ impl EvaluateSection {
         let (experiment, evaluate) = self.split();
         experiment.check(label)?;
         evaluate.check()?;
+        if let Some(truth) = &self.truth {
+            truth.check().context("`evaluate.truth` has the options of `ingest.pose`")?;
+        }
         Ok(())
     }
 }
@@ -249,6 +266,17 @@ impl Config {
         Ok(file.map(|file| self.beside_pipeline(&file)))
     }
 
+    /// The file with the ground truth of a log, from `evaluate.truth.file`.
+    pub(crate) fn truth_file(&self, log: &str) -> Option<PathBuf> {
+        let file = self.evaluate.truth.as_ref()?.file_of(log)?;
+        Some(self.beside_pipeline(&file))
+    }
+
+    /// The options of `detect`, which has defaults for a pipeline without the section.
+    pub(crate) fn detection(&self) -> DetectSection {
+        self.detect.clone().unwrap_or_default()
+    }
+
     /// The options of one log.
     pub(crate) fn for_log(&self, log: &str) -> Result<LogOptions> {
         let IngestSection { site, lidar, pose, .. } = self.ingest.clone();
@@ -284,6 +312,8 @@ impl Config {
         if let Some(simulate) = &self.simulate {
             simulate.check().context("[simulate]")?;
         }
+        check_register(&self.register)?;
+        self.detection().check()?;
         self.train.check()?;
         self.evaluate.check(&self.label)?;
         for log in self.ingest.log.keys() {
@@ -351,7 +381,7 @@ fn merge(base: &mut Table, over: &Table) {
     for (key, value) in over {
         match (base.get_mut(key), value) {
             (Some(Value::Table(base)), Value::Table(over)) => {
-                if key == "pose" {
+                if ["pose", "truth"].contains(&key.as_str()) {
                     remove_other_sources(base, over);
                 }
                 merge(base, over);

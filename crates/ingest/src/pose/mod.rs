@@ -12,6 +12,7 @@ pub(crate) mod joints;
 pub(crate) mod jumps;
 pub(crate) mod live_wheels;
 pub(crate) mod message;
+pub(crate) mod only;
 pub(crate) mod readings;
 pub(crate) mod recorded;
 pub(crate) mod segments;

@@ -1,0 +1,79 @@
+//! Reads the poses of a drive without its scans.
+
+use dataset::{Losses, Pose2};
+use rayon::prelude::*;
+
+use crate::drive::topic::{Drive, Topic};
+use crate::drive::window::{PIECES_PER_THREAD, Part};
+use crate::error::IngestError;
+use crate::mcap::chunk::Buffer;
+use crate::mcap::log::Log;
+use crate::options::Options;
+use crate::pose::readings::MotionReadings;
+use crate::pose::topics::PoseTopics;
+use crate::pose::trajectory::{self, PoseSource};
+use crate::scan::assemble::Ingested;
+use crate::scan::beam::Beam;
+use crate::scan::decode::{Decoded, Reader};
+use crate::types::LIDAR_TYPES;
+
+/// Reads the poses of a drive and none of its scans: poses besides those that [`ingest`](crate::ingest)
+/// reads, such as ground truth. Like those, they are the poses of the lidar.
+///
+/// Losses and notes are those of the pose topics only. Without `options.pose`, the trajectory is empty.
+pub fn read_poses(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
+    let read = read(logs, options);
+    logs.iter().try_for_each(|log| log.check_unchanged())?;
+    read
+}
+
+fn read(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
+    let Some(pose) = &options.pose else { return Ok(Ingested::default()) };
+    let drive = Drive::new(logs);
+    let topics = PoseTopics::find(&drive, pose)?;
+    let pose_topics = topics.all();
+    let lidar = drive.topic(&options.lidar.topic, "ingest.lidar.topic", &LIDAR_TYPES)?;
+    let beam = Beam::choose(&drive, &lidar, &options.lidar)?;
+    let reader = Reader { drive: &drive, lidar: &lidar, pose_topics: &pose_topics, beam, options };
+    let (mut motion, mut losses) = (MotionReadings::default(), Losses::default());
+    if let PoseTopics::File(_, poses) = &topics {
+        motion.poses = poses.clone();
+    }
+    let pieces = drive.pieces_with(&pose_topics);
+    for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
+        let decoded: Vec<Decoded> = window
+            .par_iter()
+            .map_init(Buffer::default, |buffer, piece| reader.decode(piece, Part::Motion, buffer))
+            .collect();
+        for mut piece in decoded {
+            motion.take_transforms(&mut piece.motion);
+            motion.prune_transforms(pose);
+            motion.extend(piece.motion);
+            losses.merge(piece.losses);
+        }
+    }
+    let mut losses = of_topics(losses, &pose_topics);
+    let mut notes: Vec<_> = pose_topics.iter().flat_map(|topic| topic.notes.clone()).collect();
+    let is_own_frame = pose.is_own_frame() || (motion.has_fixes() && pose.origin.is_none());
+    let path = drive.path();
+    let source = PoseSource {
+        path: &path,
+        topics: &topics,
+        options: pose,
+        base_from_lidar: options.lidar.mount.map_or(Pose2::default(), |mount| mount.pose()),
+        upside_down: options.lidar.upside_down,
+    };
+    let trajectory = trajectory::trajectory(motion, &source, &mut losses, &mut notes)?;
+    Ok(Ingested { trajectory, is_own_frame, losses, notes, ..Ingested::default() })
+}
+
+/// The losses of messages on these topics.
+fn of_topics(losses: Losses, topics: &[&Topic]) -> Losses {
+    let mut of_topics = Losses::default();
+    for (loss, n) in losses.iter() {
+        if topics.iter().any(|topic| loss.subject.topic.as_deref() == Some(&*topic.name)) {
+            of_topics.add(loss.clone(), n);
+        }
+    }
+    of_topics
+}

@@ -1,0 +1,109 @@
+//! The sections `[register]`, `[detect]` and `[optimize]` of the pipeline file.
+
+use dataset::OutOfRange;
+use register::RegisterOptions;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// `[detect]`: which places are compared. With this section, `run` also finds loop closures: it runs the
+/// stages `register`, `detect` and `optimize`.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct DetectSection {
+    /// Least path between the two scans of a closure \[m\].
+    pub(crate) min_path_m: f64,
+    /// Path from one place to the next \[m\]. Places are compared, and each is a keyframe with the scans
+    /// around it.
+    pub(crate) place_step_m: f64,
+    /// The scans up to this much path before and after a keyframe belong to its place \[m\].
+    pub(crate) place_half_m: f64,
+    /// Whether `loopboost detect --model` uses the classifier of the model, besides its detector. The
+    /// classifier sorts the candidates, and its confidence is a part of the evidence.
+    pub(crate) classifier: bool,
+}
+
+impl Default for DetectSection {
+    fn default() -> Self {
+        Self { min_path_m: 30.0, place_step_m: 2.5, place_half_m: 5.0, classifier: true }
+    }
+}
+
+impl DetectSection {
+    /// Checks that every value is in range.
+    pub(crate) fn check(&self) -> Result<(), OutOfRange> {
+        for (key, found) in [
+            ("min_path_m", self.min_path_m),
+            ("place_step_m", self.place_step_m),
+            ("place_half_m", self.place_half_m),
+        ] {
+            if !(found.is_finite() && 0.0 < found) {
+                return Err(OutOfRange::new(format!("detect.{key}"), found, "more than 0"));
+            }
+        }
+        // Two places that share scans always match.
+        if self.min_path_m < 2.0 * self.place_half_m {
+            return Err(OutOfRange::new(
+                "detect.min_path_m".to_owned(),
+                self.min_path_m,
+                "twice `detect.place_half_m` or more",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// `[optimize]`: the estimate of the trajectory.
+#[derive(Debug, Clone, PartialEq, JsonSchema, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(crate) struct OptimizeSection {
+    /// Whether to align every scan with the finished map. Without this, the poses of the scans between
+    /// two registered scans are interpolated with the odometry.
+    pub(crate) every_scan: bool,
+}
+
+impl Default for OptimizeSection {
+    fn default() -> Self {
+        Self { every_scan: true }
+    }
+}
+
+/// Checks `[register]`.
+pub(crate) fn check_register(options: &RegisterOptions) -> Result<(), OutOfRange> {
+    let matcher = &options.matcher;
+    let positive = [
+        ("spacing_m", options.spacing_m),
+        ("turn_deg", options.turn_deg),
+        ("max_range_m", options.max_range_m),
+        ("matcher.target_path_m", matcher.target_path_m),
+        ("matcher.max_keyframes", f64::from(matcher.max_keyframes)),
+        ("matcher.target_voxel_m", matcher.target_voxel_m),
+        ("matcher.target_half_width_m", matcher.target_half_width_m),
+    ];
+    for (key, found) in positive {
+        if !(found.is_finite() && 0.0 < found) {
+            return Err(OutOfRange::new(format!("register.{key}"), found, "more than 0"));
+        }
+    }
+    let not_negative = [
+        ("matcher.odometry_std_per_m", matcher.odometry_std_per_m),
+        ("matcher.odometry_std_m", matcher.odometry_std_m),
+        ("matcher.odometry_std_deg_per_sqrt_m", matcher.odometry_std_deg_per_sqrt_m),
+        ("matcher.odometry_std_deg", matcher.odometry_std_deg),
+        ("matcher.search_m", matcher.search_m),
+        ("matcher.search_deg", matcher.search_deg),
+    ];
+    for (key, found) in not_negative {
+        if !(found.is_finite() && 0.0 <= found) {
+            return Err(OutOfRange::new(format!("register.{key}"), found, "0 or more"));
+        }
+    }
+    if !(0.0..=1.0).contains(&matcher.enough_near_share) {
+        let found = matcher.enough_near_share;
+        return Err(OutOfRange::new(
+            "register.matcher.enough_near_share".to_owned(),
+            found,
+            "0 to 1",
+        ));
+    }
+    Ok(())
+}
