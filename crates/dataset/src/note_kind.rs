@@ -287,6 +287,54 @@ codes! {
             n_pairs: u64,
         } => "retrieval has only {n_matches} matches, because one in {query_stride} scans is a query; expected 100 or more for a recall that is known within 10 %: raise `evaluate.max_pairs` (all scans as queries: {n_pairs})";
 
+        // Loop closures.
+
+        /// The ground truth of a log cannot be read.
+        Warning "log_without_truth" LogWithoutTruth {
+            /// The error.
+            error: String,
+        } => "no ground truth, so nothing is measured against it: {error}; correct `evaluate.truth`, or accept that this log is not measured";
+        /// Scans are not used for training because their true pose is not known.
+        Info "keyframes_without_truth" KeyframesWithoutTruth {
+            /// Keyframes without a true pose.
+            n_keyframes: u64,
+            /// All keyframes.
+            n_all: u64,
+        } => "{n_keyframes} of {} have no true pose and are in no pair", count(*n_all, "keyframe");
+        /// Segments are too short for a closure.
+        Warning "short_segments" ShortSegments {
+            /// Segments.
+            n_segments: u64,
+            /// Least path between the two scans of a closure \[m\].
+            min_path_m: f64,
+        } => "{} shorter than {min_path_m} m (`detect.min_path_m`): no closure is possible there, and closures between two segments are not searched", count(*n_segments, "segment");
+        /// Scans match the scans before them poorly.
+        Warning "poor_scan_matching" PoorScanMatching {
+            /// Stretches of path.
+            n_stretches: u64,
+            /// Their length \[m\].
+            length_m: f64,
+            /// Share of the points near a point of the last metres.
+            near_share: f64,
+        } => "along {length_m:.0} m of path ({}), less than {:.0} % of the points of a scan are near a point of the scans before: the trajectory may be wrong there; check `ingest.lidar.mount` and the clocks of lidar and poses", count(*n_stretches, "stretch"), near_share * 100.0;
+        /// The classifier was trained on another kind of scans.
+        Warning "classifier_not_used" ClassifierNotUsed {
+            /// Name of the model.
+            model: String,
+            /// Smallest angle covered by a training scan \[deg\].
+            trained_deg: f64,
+            /// Angle covered by the scans of the log \[deg\].
+            found_deg: f64,
+        } => "closures are searched without the classifier of the model `{model}`: it was trained on scans that cover {trained_deg:.0} deg or more, and those of the log cover {found_deg:.0} deg; train a model on scans of this kind";
+        /// Loop detection has no ground truth to learn from.
+        Warning "detector_not_trained" DetectorNotTrained
+            => "closures are searched with the starting values of the detector, because the pipeline names no ground truth to fit it to: set `evaluate.truth`, or use `loopboost detect --model` with a trained model";
+        /// Closures that agree with each other were rejected.
+        Info "unsupported_closures" UnsupportedClosures {
+            /// Closures.
+            n_closures: u64,
+        } => "{} rejected, because the scans confirm too few of the places that they predict to be the same (`unsupported` in closures.parquet)", count(*n_closures, "closure");
+
         // Velodyne packets.
 
         /// Packets come from more than one sensor.

@@ -11,6 +11,7 @@ use crate::import::ImportArgs;
 use crate::inspect::InspectArgs;
 use crate::run::{Mode, Run};
 use crate::stage::Stage;
+use crate::used_model::UsedModel;
 use crate::{inspect, lineage, models, pipeline, stages};
 
 /// Turns the drive logs that robots record into loop-closure classifiers.
@@ -129,14 +130,17 @@ enum SchemaOf {
 struct StageCommand {
     stage: Stage,
     args: PipelineArgs,
-    /// Only `ingest` and `subsample` have this flag.
+    /// Only `ingest`, `subsample` and `detect` have this flag.
     strict: bool,
     /// Only `evaluate` has this flag.
     json: bool,
+    /// Only `register`, `detect`, `optimize` and `evaluate` have this option.
+    model: Option<PathBuf>,
 }
 
 const STRICT: &str = "strict";
 const JSON: &str = "json";
+const MODEL: &str = "model";
 
 impl Subcommand for StageCommand {
     fn augment_subcommands(command: clap::Command) -> clap::Command {
@@ -144,8 +148,12 @@ impl Subcommand for StageCommand {
             let flag = |name, help| Arg::new(name).long(name).action(ArgAction::SetTrue).help(help);
             let own = clap::Command::new(stage.name()).about(stage.spec().help);
             let own = PipelineArgs::augment_args(own);
+            let own = match Stage::USE_MODEL.contains(&stage) {
+                true => own.arg(model_arg(stage)),
+                false => own,
+            };
             command.subcommand(match stage {
-                Stage::Ingest | Stage::Subsample => own.arg(flag(
+                Stage::Ingest | Stage::Subsample | Stage::Detect => own.arg(flag(
                     STRICT,
                     "Stop at a log that cannot be used, instead of leaving it out",
                 )),
@@ -176,13 +184,25 @@ impl FromArgMatches for StageCommand {
             .ok_or_else(|| clap::Error::new(clap::error::ErrorKind::MissingSubcommand))?;
         let has = |name| matches.try_get_one(name).ok().flatten().copied().unwrap_or(false);
         let args = PipelineArgs::from_arg_matches(matches)?;
-        Ok(Self { stage, args, strict: has(STRICT), json: has(JSON) })
+        let model = matches.try_get_one::<PathBuf>(MODEL).ok().flatten().cloned();
+        Ok(Self { stage, args, strict: has(STRICT), json: has(JSON), model })
     }
 
     fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
         *self = Self::from_arg_matches(matches)?;
         Ok(())
     }
+}
+
+fn model_arg(stage: Stage) -> Arg {
+    let help = match stage {
+        Stage::Detect => {
+            "Find loop closures in the logs of the pipeline with this model.json: runs all stages from ingest to optimize, and the report"
+        }
+        _ => "The model.json that `loopboost detect --model` was run with, for a folder of that command",
+    };
+    let parser = clap::value_parser!(PathBuf);
+    Arg::new(MODEL).long(MODEL).value_name("MODEL.json").value_parser(parser).help(help)
 }
 
 #[derive(Args)]
@@ -206,13 +226,19 @@ impl Cli {
         match self.command {
             Command::Run { args, force, dry_run, strict } => {
                 let mode = if dry_run { Mode::DryRun { force } } else { Mode::Resume { force } };
-                args.execute(mode, strict, pipeline::run)
+                args.execute(mode, strict, None, pipeline::run)
             }
-            Command::Stage(StageCommand { stage: Stage::Evaluate, args, json: true, .. }) => {
-                args.execute(Mode::Quiet, true, stages::evaluate::run_and_print)
-            }
-            Command::Stage(StageCommand { stage, args, strict, .. }) => {
-                args.execute(Mode::Always, strict, pipeline::stage(stage))
+            Command::Stage(StageCommand { stage, args, strict, json, model }) => {
+                match (stage, &model) {
+                    (Stage::Evaluate, _) if json => {
+                        args.execute(Mode::Quiet, true, model, stages::evaluate::run_and_print)
+                    }
+                    (Stage::Detect, Some(_)) => {
+                        let mode = Mode::Resume { force: Vec::new() };
+                        args.execute(mode, strict, model, pipeline::run)
+                    }
+                    _ => args.execute(Mode::Always, strict, model, pipeline::stage(stage)),
+                }
             }
             other => Ok(other.execute()?),
         }
@@ -258,12 +284,17 @@ impl PipelineArgs {
         self,
         mode: Mode,
         strict: bool,
+        model: Option<PathBuf>,
         stage: fn(&Run) -> Result<Findings>,
     ) -> Result<Findings, Failure> {
-        let config = Config::load(&self.pipeline, &self.overrides)?;
+        let mut config = Config::load(&self.pipeline, &self.overrides)?;
+        let model = model.map(|path| UsedModel::load(&path)).transpose()?;
+        if let Some(model) = model.as_ref().filter(|_| config.detection().classifier) {
+            model.set_features(&mut config)?;
+        }
         match self.out {
             Some(out) if !self.print_config => {
-                let run = Run::new(config, out, mode, strict)?;
+                let run = Run::new(config, out, mode, strict, model)?;
                 stage(&run).map_err(|error| Failure { before: run.findings_so_far(), error })
             }
             _ => {

@@ -69,41 +69,14 @@ impl Default for OptimizeSection {
 
 /// Checks `[register]`.
 pub(crate) fn check_register(options: &RegisterOptions) -> Result<(), OutOfRange> {
-    let matcher = &options.matcher;
-    let positive = [
+    for (key, found) in [
         ("spacing_m", options.spacing_m),
         ("turn_deg", options.turn_deg),
         ("max_range_m", options.max_range_m),
-        ("matcher.target_path_m", matcher.target_path_m),
-        ("matcher.max_keyframes", f64::from(matcher.max_keyframes)),
-        ("matcher.target_voxel_m", matcher.target_voxel_m),
-        ("matcher.target_half_width_m", matcher.target_half_width_m),
-    ];
-    for (key, found) in positive {
+    ] {
         if !(found.is_finite() && 0.0 < found) {
             return Err(OutOfRange::new(format!("register.{key}"), found, "more than 0"));
         }
-    }
-    let not_negative = [
-        ("matcher.odometry_std_per_m", matcher.odometry_std_per_m),
-        ("matcher.odometry_std_m", matcher.odometry_std_m),
-        ("matcher.odometry_std_deg_per_sqrt_m", matcher.odometry_std_deg_per_sqrt_m),
-        ("matcher.odometry_std_deg", matcher.odometry_std_deg),
-        ("matcher.search_m", matcher.search_m),
-        ("matcher.search_deg", matcher.search_deg),
-    ];
-    for (key, found) in not_negative {
-        if !(found.is_finite() && 0.0 <= found) {
-            return Err(OutOfRange::new(format!("register.{key}"), found, "0 or more"));
-        }
-    }
-    if !(0.0..=1.0).contains(&matcher.enough_near_share) {
-        let found = matcher.enough_near_share;
-        return Err(OutOfRange::new(
-            "register.matcher.enough_near_share".to_owned(),
-            found,
-            "0 to 1",
-        ));
     }
     Ok(())
 }

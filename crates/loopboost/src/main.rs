@@ -14,8 +14,11 @@ macro_rules! out {
 
 mod cli;
 mod config;
+mod detection;
 mod disagreement;
+mod drives;
 mod findings;
+mod goal;
 mod import;
 mod inspect;
 mod label_choice;
@@ -32,6 +35,7 @@ mod stages;
 mod suggest;
 mod summary;
 mod trial;
+mod used_model;
 
 use std::process::ExitCode;
 

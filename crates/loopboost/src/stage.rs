@@ -22,7 +22,10 @@ pub(crate) enum Stage {
     Subsample,
     Label,
     Featurize,
+    Register,
+    Detect,
     Train,
+    Optimize,
     Evaluate,
 }
 
@@ -32,7 +35,8 @@ pub(crate) struct Spec {
     pub(crate) name: &'static str,
     /// One line of help.
     pub(crate) help: &'static str,
-    /// What it reads in the run folder.
+    /// What it reads in the run folder: those of these artifacts that the run makes (see
+    /// [`crate::goal::Goal`]).
     pub(crate) inputs: &'static [Artifact],
     /// What it writes to the run folder, besides models, figures and evaluation tables.
     pub(crate) outputs: &'static [Artifact],
@@ -47,19 +51,31 @@ pub(crate) struct Scope<'a> {
     pub(crate) log: Option<&'a str>,
     /// The logs of the run.
     pub(crate) logs: &'a [&'a str],
+    /// The artifact, for a task that makes only one of those of its stage.
+    pub(crate) only: Option<Artifact>,
+    /// The model that loop closures are found with; null without one.
+    pub(crate) model: Value,
 }
 
 impl Stage {
     /// All stages, in the order of a run.
-    pub(crate) const ALL: [Self; 7] = [
+    pub(crate) const ALL: [Self; 10] = [
         Self::Simulate,
         Self::Ingest,
         Self::Subsample,
         Self::Label,
         Self::Featurize,
+        Self::Register,
+        Self::Detect,
         Self::Train,
+        Self::Optimize,
         Self::Evaluate,
     ];
+
+    /// The stages that use the model that loop closures are found with. The others do not depend on it,
+    /// except that `featurize` computes the features of the model.
+    pub(crate) const USE_MODEL: [Self; 4] =
+        [Self::Register, Self::Detect, Self::Optimize, Self::Evaluate];
 
     /// What this stage is.
     pub(crate) fn spec(self) -> Spec {
@@ -76,12 +92,8 @@ impl Stage {
                 name: "ingest",
                 help: "Read the logs -> scans/LOG.parquet, poses/LOG.parquet",
                 inputs: &[A::Log],
-                outputs: &[A::Scans, A::Poses],
-                // The site is an option of `subsample`.
-                options: |config, scope| {
-                    let log = scope.log.unwrap_or_default();
-                    Ok(to_value(LogOptions { site: None, ..config.for_log(log)? })?)
-                },
+                outputs: &[A::Scans, A::Poses, A::Truth],
+                options: ingest_options,
             },
             Self::Subsample => Spec {
                 name: "subsample",
@@ -97,7 +109,7 @@ impl Stage {
             Self::Label => Spec {
                 name: "label",
                 help: "Label pairs of keyframes: keyframes -> pairs.parquet",
-                inputs: &[A::Keyframes],
+                inputs: &[A::Keyframes, A::Truth],
                 outputs: &[A::Pairs],
                 options: |config, _| Ok(to_value(&config.label)?),
             },
@@ -108,16 +120,61 @@ impl Stage {
                 outputs: &[A::Features, A::FeatureStability],
                 options: |config, _| Ok(to_value(&config.featurize)?),
             },
+            Self::Register => Spec {
+                name: "register",
+                help: "Match scans: scans, poses -> registered/LOG.parquet, odometry.parquet",
+                inputs: &[A::Keyframes, A::Scans, A::Poses],
+                outputs: &[A::Registered, A::Odometry],
+                options: register_options,
+            },
+            Self::Detect => Spec {
+                name: "detect",
+                help: "Find places that may be the same -> candidates.parquet; with --model, find loop closures in logs",
+                inputs: &[A::Registered, A::Scans, A::Keyframes, A::Features],
+                outputs: &[A::Candidates],
+                options: |config, scope| {
+                    let mut value = detection_options(config, scope)?;
+                    value["detect"] = to_value(config.detection())?;
+                    Ok(value)
+                },
+            },
             Self::Train => Spec {
                 name: "train",
                 help: "Train and cross-validate: pairs, features -> models/, scores.parquet, ...",
-                inputs: &[A::Keyframes, A::Pairs, A::Features, A::FeatureStability],
+                inputs: &[
+                    A::Keyframes,
+                    A::Pairs,
+                    A::Features,
+                    A::FeatureStability,
+                    A::Registered,
+                    A::Candidates,
+                    A::Truth,
+                ],
                 outputs: &[A::Scores, A::Rounds, A::Retrieval, A::Grid, A::FeatureUsefulness],
                 options: train_options,
             },
+            Self::Optimize => Spec {
+                name: "optimize",
+                help: "Choose closures: candidates -> closures.parquet, trajectory/LOG.tum, ...",
+                inputs: &[A::Registered, A::Candidates, A::Scans, A::Poses],
+                outputs: &[
+                    A::Closures,
+                    A::Trajectory,
+                    A::ScanTrajectory,
+                    A::TumTrajectory,
+                    A::PoseGraph,
+                ],
+                options: |config, scope| {
+                    let mut value = detection_options(config, scope)?;
+                    value["optimize"] = to_value(&config.optimize)?;
+                    value["min_path_m"] = config.detection().min_path_m.into();
+                    value["max_pose_gap_secs"] = config.subsample.max_pose_gap_secs.into();
+                    Ok(value)
+                },
+            },
             Self::Evaluate => Spec {
                 name: "evaluate",
-                help: "Measure and report: scores -> evaluation/, report.html",
+                help: "Measure and report: scores, closures -> evaluation/, report.html",
                 inputs: &[
                     A::Keyframes,
                     A::Pairs,
@@ -128,10 +185,23 @@ impl Stage {
                     A::Grid,
                     A::FeatureUsefulness,
                     A::Scans,
+                    A::Poses,
+                    A::Registered,
+                    A::Candidates,
+                    A::Closures,
+                    A::Trajectory,
+                    A::ScanTrajectory,
+                    A::Truth,
                 ],
                 outputs: &[A::Summary, A::Report],
                 // The report shows them all.
-                options: |config, _| Ok(to_value(config)?),
+                options: |config, scope| {
+                    let mut value = to_value(config)?;
+                    if !scope.model.is_null() {
+                        value["model"] = scope.model.clone();
+                    }
+                    Ok(value)
+                },
             },
         }
     }
@@ -163,6 +233,34 @@ impl ValueEnum for Stage {
     }
 }
 
+/// The options of the scans and poses of a log, or of its ground truth. The estimates must not depend on
+/// whether there is a ground truth, so the options of the scans and poses do not contain it.
+fn ingest_options(config: &Config, scope: &Scope<'_>) -> Result<Value> {
+    // The site is an option of `subsample`.
+    let log = scope.log.unwrap_or_default();
+    let mut options = LogOptions { site: None, ..config.for_log(log)? };
+    if scope.only == Some(Artifact::Truth) {
+        options.pose = config.evaluate.truth.clone();
+    }
+    Ok(to_value(options)?)
+}
+
+fn register_options(config: &Config, scope: &Scope<'_>) -> Result<Value> {
+    let mut value = detection_options(config, scope)?;
+    value["max_pose_gap_secs"] = config.subsample.max_pose_gap_secs.into();
+    Ok(value)
+}
+
+/// The options that `register`, `detect` and `optimize` share.
+fn detection_options(config: &Config, scope: &Scope<'_>) -> Result<Value> {
+    let range = |log: &&str| {
+        let lidar = config.for_log(log)?.lidar;
+        Ok(((*log).to_owned(), [lidar.range_min_m, lidar.range_max_m]))
+    };
+    let ranges = scope.logs.iter().map(range).collect::<Result<BTreeMap<_, _>>>()?;
+    Ok(json!({ "register": config.register, "range_m": ranges, "model": scope.model }))
+}
+
 fn train_options(config: &Config, scope: &Scope<'_>) -> Result<Value> {
     let lidars = scope
         .logs
@@ -176,6 +274,8 @@ fn train_options(config: &Config, scope: &Scope<'_>) -> Result<Value> {
         "label": config.label,
         "featurize": config.featurize,
         "lidars": lidars,
+        "detect": config.detect,
+        "register": config.detect.as_ref().map(|_| &config.register),
     }))
 }
 
@@ -196,34 +296,56 @@ pub(crate) enum Artifact {
     Log,
     Scans,
     Poses,
+    /// The poses of the ground truth, for evaluation only.
+    Truth,
     Keyframes,
     Pairs,
     Features,
     FeatureStability,
+    Registered,
+    Odometry,
+    Candidates,
     Scores,
     Rounds,
     Retrieval,
     Grid,
     FeatureUsefulness,
+    Closures,
+    /// The optimized poses of keyframes.
+    Trajectory,
+    /// The optimized poses of all scans.
+    ScanTrajectory,
+    /// The same as text.
+    TumTrajectory,
+    PoseGraph,
     /// The numbers of the report as JSON.
     Summary,
     Report,
 }
 
 impl Artifact {
-    const ALL: [Self; 14] = [
+    const ALL: [Self; 23] = [
         Self::Log,
         Self::Scans,
         Self::Poses,
+        Self::Truth,
         Self::Keyframes,
         Self::Pairs,
         Self::Features,
         Self::FeatureStability,
+        Self::Registered,
+        Self::Odometry,
+        Self::Candidates,
         Self::Scores,
         Self::Rounds,
         Self::Retrieval,
         Self::Grid,
         Self::FeatureUsefulness,
+        Self::Closures,
+        Self::Trajectory,
+        Self::ScanTrajectory,
+        Self::TumTrajectory,
+        Self::PoseGraph,
         Self::Summary,
         Self::Report,
     ];
@@ -234,15 +356,24 @@ impl Artifact {
             Self::Log => "logs/{log}.mcap",
             Self::Scans => "scans/{log}.parquet",
             Self::Poses => "poses/{log}.parquet",
+            Self::Truth => "truth/{log}.parquet",
             Self::Keyframes => "keyframes.parquet",
             Self::Pairs => "pairs.parquet",
             Self::Features => "features.parquet",
             Self::FeatureStability => "feature_stability.parquet",
+            Self::Registered => "registered/{log}.parquet",
+            Self::Odometry => "odometry.parquet",
+            Self::Candidates => "candidates.parquet",
             Self::Scores => "scores.parquet",
             Self::Rounds => "rounds.parquet",
             Self::Retrieval => "retrieval.parquet",
             Self::Grid => "grid.parquet",
             Self::FeatureUsefulness => "feature_usefulness.parquet",
+            Self::Closures => "closures.parquet",
+            Self::Trajectory => "trajectory.parquet",
+            Self::ScanTrajectory => "trajectory/{log}.parquet",
+            Self::TumTrajectory => "trajectory/{log}.tum",
+            Self::PoseGraph => "graph.g2o",
             Self::Summary => "evaluation/summary.json",
             Self::Report => "report.html",
         }

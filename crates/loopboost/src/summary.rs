@@ -25,6 +25,12 @@ pub(crate) enum Summary {
     Labelled { n_pairs_per_class: u64, candidates: label::Candidates },
     /// Features.
     Featurized { set: String, n_features: u64, n_keyframes: u64 },
+    /// The registered scans of a log.
+    Registered { log: String, n_scans: u64, n_degenerate: u64, length_m: f64 },
+    /// The candidates of a log.
+    Detected { log: String, n_places: u64, n_candidates: u64 },
+    /// The closures of a log, and the number of poses of its trajectory.
+    Optimized { log: String, n_accepted: u64, n_rejected: u64, n_poses: u64 },
     /// A saved model, with its error by each grouping.
     Trained { model: String, version: String, rounds: u64, errors: Vec<GroupingError> },
     /// Errors of a learner by a grouping, after some rounds.
@@ -79,6 +85,17 @@ impl fmt::Display for Summary {
             Self::Featurized { set, n_features, n_keyframes } => {
                 write!(f, "{n_features} features ({set}) of {n_keyframes} keyframes")
             }
+            Self::Registered { log, n_scans, n_degenerate, length_m } => write!(
+                f,
+                "{log}: {n_scans} scans along {length_m:.0} m, {n_degenerate} with an unknown direction"
+            ),
+            Self::Detected { log, n_places, n_candidates } => {
+                write!(f, "{log}: {n_candidates} candidates among {n_places} places")
+            }
+            Self::Optimized { log, n_accepted, n_rejected, n_poses } => write!(
+                f,
+                "{log}: {n_accepted} closures accepted, {n_rejected} rejected; {n_poses} poses"
+            ),
             Self::Trained { model, version, rounds, errors } => {
                 let errors: Vec<String> = errors
                     .iter()

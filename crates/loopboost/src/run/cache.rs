@@ -10,6 +10,7 @@ use ingest::{FileState, IngestError};
 use super::manifest::{Record, changes};
 use super::{Run, Task};
 use crate::stage::{Artifact, Scope, Stage};
+use crate::used_model::UsedModel;
 
 impl Run {
     /// What a task would be made from now.
@@ -22,16 +23,22 @@ impl Run {
         Ok(Provenance {
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
             seed: self.config.seed,
-            options: self.options_of(task.stage, task.log.as_deref())?,
+            options: self.options_of(task.stage, task.log.as_deref(), task.only)?,
             inputs,
             ..Provenance::default()
         })
     }
 
-    fn options_of(&self, stage: Stage, log: Option<&str>) -> Result<serde_json::Value> {
+    fn options_of(
+        &self,
+        stage: Stage,
+        log: Option<&str>,
+        only: Option<Artifact>,
+    ) -> Result<serde_json::Value> {
         let logs = self.ingested_logs()?;
         let logs: Vec<&str> = logs.iter().map(|log| &*log.name).collect();
-        (stage.spec().options)(&self.config, &Scope { log, logs: &logs })
+        let model = self.model.as_ref().map_or(serde_json::Value::Null, UsedModel::summary);
+        (stage.spec().options)(&self.config, &Scope { log, logs: &logs, only, model })
     }
 
     /// What differs between a task as it was done and as it is asked for now; nothing if its
@@ -72,8 +79,9 @@ impl Run {
                 stage.command()
             ));
         }
+        let only = (artifact == Artifact::Truth).then_some(artifact);
         let (_, made) = read_provenance(path)?;
-        let mut stale = changes(&made.options, &self.options_of(stage, log)?);
+        let mut stale = changes(&made.options, &self.options_of(stage, log, only)?);
         if made.seed != self.config.seed {
             stale.push(format!("seed: {} -> {}", made.seed, self.config.seed));
         }

@@ -19,6 +19,9 @@ use crate::stage::Artifact;
 ///   features.parquet             feature_stability.parquet
 ///   scores.parquet               rounds.parquet           retrieval.parquet  grid.parquet
 ///   feature_usefulness.parquet
+///   registered/<log>.parquet     odometry.parquet         candidates.parquet
+///   closures.parquet             trajectory.parquet       graph.g2o
+///   trajectory/<log>.parquet     trajectory/<log>.tum     truth/<log>.parquet
 ///   models/<name>/<version>/     model.json, card.md
 ///   evaluation/*.parquet         evaluation/summary.json  evaluation/figures/*.svg
 ///   report.html
@@ -92,6 +95,9 @@ fn remove_partial_files(folder: &Path) -> Result<()> {
         "logs/.*",
         "scans/.*",
         "poses/.*",
+        "truth/.*",
+        "registered/.*",
+        "trajectory/.*",
         "evaluation/.*",
         "evaluation/figures/.*",
         "models/*/*/.*",

@@ -16,12 +16,15 @@ use anyhow::Result;
 use dataset::tables::Provenance;
 use dataset::{Loss, LossKind, Losses, Note, Subject};
 use ingest::FileState;
+use model::Detector;
 
 use crate::config::{Config, usage};
 use crate::findings::Findings;
+use crate::goal::Goal;
 use crate::logs::LogFile;
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
+use crate::used_model::UsedModel;
 
 pub(crate) use cache::missing_log;
 pub(crate) use manifest::{Manifest, changes};
@@ -37,6 +40,12 @@ pub(crate) struct Run {
     mode: Mode,
     /// A log that cannot be used ends the run.
     pub(crate) strict: bool,
+    /// What the run is for.
+    pub(crate) goal: Goal,
+    /// The model that loop closures are found with, if the command names one.
+    pub(crate) model: Option<UsedModel>,
+    /// The detector of a run without a model.
+    starting_values: Detector,
     logs: OnceCell<Vec<LogFile>>,
     manifest: RefCell<Manifest>,
     /// Digests of files that this process has read and that have not changed since.
@@ -75,6 +84,8 @@ pub(crate) struct Task {
     pub(crate) stage: Stage,
     /// The log, for a stage that works log by log.
     pub(crate) log: Option<Arc<str>>,
+    /// The artifact, for a task that makes only one of those of its stage.
+    pub(crate) only: Option<Artifact>,
     pub(crate) inputs: Vec<PathBuf>,
 }
 
@@ -90,13 +101,26 @@ pub(crate) struct Done {
 
 impl Run {
     /// Opens a run folder, and locks it unless the run is dry.
-    pub(crate) fn new(config: Config, folder: PathBuf, mode: Mode, strict: bool) -> Result<Self> {
+    pub(crate) fn new(
+        config: Config,
+        folder: PathBuf,
+        mode: Mode,
+        strict: bool,
+        model: Option<UsedModel>,
+    ) -> Result<Self> {
         let folder = match mode {
             Mode::DryRun { .. } => RunFolder::read_only(folder),
             _ => RunFolder::lock(folder)?,
         };
+        let goal = match &model {
+            None => Goal::train(&config),
+            Some(_) => Goal::detect(&config, config.detection().classifier),
+        };
         Ok(Self {
             config,
+            goal,
+            model,
+            starting_values: Detector::starting_values(),
             manifest: RefCell::new(Manifest::load(&folder.root)),
             digests: RefCell::default(),
             states: RefCell::default(),
@@ -108,6 +132,26 @@ impl Run {
             strict,
             logs: OnceCell::new(),
         })
+    }
+
+    /// What loop detection uses: the detector of the model, or the starting values.
+    pub(crate) fn detector(&self) -> &Detector {
+        self.model.as_ref().map_or(&self.starting_values, |model| &model.detector)
+    }
+
+    /// The models that `train` made in this folder, in the order of the learners of the pipeline.
+    pub(crate) fn trained_models(&self) -> Vec<PathBuf> {
+        let manifest = self.manifest.borrow();
+        let outputs = manifest.tasks.get(Stage::Train.name()).map(|record| &record.outputs);
+        let names: Vec<&String> = outputs.into_iter().flat_map(BTreeMap::keys).collect();
+        let of_learner = |learner: &train::Learner| {
+            let prefix = format!("models/{}-{}/", self.config.name, learner.name());
+            let is_model = |name: &&&String| {
+                name.starts_with(&prefix) && name.ends_with("/model.json")
+            };
+            names.iter().find(is_model).map(|name| self.path(name))
+        };
+        self.config.train.learners.iter().filter_map(of_learner).collect()
     }
 
     /// A path in the run folder.
@@ -149,7 +193,7 @@ impl Run {
     /// The task of a stage that works on all logs at once. It reads what the stage reads.
     pub(crate) fn task_of(&self, stage: Stage) -> Result<Task> {
         let mut inputs = Vec::new();
-        for &artifact in stage.spec().inputs {
+        for &artifact in stage.spec().inputs.iter().filter(|input| self.goal.has(**input)) {
             if artifact.is_per_log() {
                 let logs = self.ingested_logs()?;
                 inputs.extend(logs.iter().map(|log| self.path_of_log(artifact, &log.name)));
@@ -157,7 +201,10 @@ impl Run {
                 inputs.push(self.path_of(artifact));
             }
         }
-        Ok(Task { stage, log: None, inputs })
+        if Stage::USE_MODEL.contains(&stage) {
+            inputs.extend(self.model.iter().map(|model| model.path.clone()));
+        }
+        Ok(Task { stage, log: None, only: None, inputs })
     }
 
     /// The run's logs: the simulated ones, then those of `ingest.logs`.
@@ -244,9 +291,12 @@ impl Run {
         }
         let logs = self.ingested_logs()?;
         let manifest = self.manifest.borrow();
-        for earlier in Stage::ALL.into_iter().filter(|earlier| *earlier < stage) {
+        let is_earlier = |other: &Stage| *other < stage && self.goal.has_stage(*other);
+        for earlier in Stage::ALL.into_iter().filter(is_earlier) {
             let of_logs = logs.iter().map(|log| format!("{earlier} {}", log.name));
-            for name in of_logs.chain([earlier.to_string()]) {
+            let of_truth = logs.iter().map(|log| format!("{earlier} {} truth", log.name));
+            let of_truth = of_truth.filter(|_| self.goal.has(Artifact::Truth));
+            for name in of_logs.chain(of_truth).chain([earlier.to_string()]) {
                 if let Some(Record { losses, notes, .. }) = manifest.tasks.get(&name) {
                     findings.losses.merge(losses.clone());
                     findings.notes.extend(notes.iter().cloned());
@@ -286,9 +336,10 @@ impl Run {
         task: &Task,
         work: impl FnOnce(Provenance) -> Result<Done>,
     ) -> Result<Findings> {
-        let name = match &task.log {
-            Some(log) => format!("{} {log}", task.stage),
-            None => task.stage.to_string(),
+        let name = match (&task.log, task.only) {
+            (Some(log), None) => format!("{} {log}", task.stage),
+            (Some(log), Some(_)) => format!("{} {log} truth", task.stage),
+            (None, _) => task.stage.to_string(),
         };
         self.stage.set(Some(task.stage));
         let record = self.manifest.borrow().tasks.get(&name).cloned();

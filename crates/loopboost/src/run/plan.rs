@@ -4,6 +4,7 @@ use anyhow::Result;
 
 use super::manifest::Record;
 use super::{Run, Task};
+use crate::stage::Artifact;
 
 impl Run {
     /// Prints whether a task would run, and why.
@@ -36,7 +37,11 @@ impl Run {
             }
         };
         if runs {
-            let outputs = task.stage.spec().outputs.iter();
+            let is_made = |output: &&Artifact| match task.only {
+                Some(only) => only == **output,
+                None => self.goal.has(**output),
+            };
+            let outputs = task.stage.spec().outputs.iter().filter(is_made);
             let paths = outputs.flat_map(|&artifact| self.paths_of(artifact, task.log.as_deref()));
             self.would_change.borrow_mut().extend(paths);
         }

@@ -4,14 +4,14 @@ use std::sync::Arc;
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::write_scans;
 use dataset::tables::{Provenance, write_poses};
-use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject};
+use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject, Trajectory};
 use ingest::{IngestError, Log, Options, PoseFileError, PoseOptions};
 
 use crate::config::{LogOptions, usage};
 use crate::findings::Findings;
 use crate::logs::{LogFile, file_name};
 use crate::run::{Done, Run, Task, missing_log, progress_bar};
-use crate::stage::Stage;
+use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 
 /// Logs -> scans/LOG.parquet, poses/LOG.parquet
@@ -38,11 +38,15 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
         }
         let mut inputs = log.paths.clone();
         inputs.extend(pose_file(run, log)?);
-        let task = Task { stage: Stage::Ingest, log: Some(log.name.clone()), inputs };
+        let task = Task { stage: Stage::Ingest, log: Some(log.name.clone()), only: None, inputs };
         let ingested = match missing_pose_file(run, log)? {
             Some(error) if !run.is_dry() => Err(error.into()),
             _ => run.task(&task, |provenance| ingest_log(run, log, provenance)),
         };
+        let ingested = ingested.and_then(|mut findings| {
+            findings.merge(ingest_truth(run, log)?);
+            Ok(findings)
+        });
         match ingested {
             Ok(of_log) => {
                 run.set_failed(&log.name, None)?;
@@ -178,6 +182,48 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
         n_poses: ingested.trajectory.poses().len() as u64,
     };
     Ok(Done { outputs: vec![scans, poses], losses, notes, summaries: vec![summary] })
+}
+
+/// The ground truth of a log -> truth/LOG.parquet, if the pipeline names it
+///
+/// It is a task of its own, so that scans and poses do not depend on it. A log whose ground truth cannot
+/// be read has an empty table and a warning.
+fn ingest_truth(run: &Run, log: &LogFile) -> Result<Findings> {
+    if !run.goal.has(Artifact::Truth) {
+        return Ok(Findings::default());
+    }
+    let (mut inputs, only) = (log.paths.clone(), Some(Artifact::Truth));
+    inputs.extend(run.config.truth_file(&log.name).filter(|path| path.exists()));
+    let task = Task { stage: Stage::Ingest, log: Some(log.name.clone()), only, inputs };
+    run.task(&task, |provenance| {
+        let own = run.config.for_log(&log.name)?;
+        let mut pose = run.config.evaluate.truth.clone();
+        if let (Some(pose), Some(path)) = (&mut pose, run.config.truth_file(&log.name)) {
+            pose.file = Some(path.to_string_lossy().into_owned());
+        }
+        let (logs, _) = open(log)?;
+        let options = Options { lidar: own.lidar, pose };
+        let of_log = Subject::log(&*log.name);
+        let read = ingest::read_poses(&logs.iter().collect::<Vec<_>>(), &options);
+        let (trajectory, losses, mut notes) = match read {
+            Ok(ingested) => {
+                (ingested.trajectory, ingested.losses.in_log(&log.name), ingested.notes)
+            }
+            Err(error) => {
+                let error = format!("{:#}", anyhow::Error::from(error));
+                let note = NoteKind::LogWithoutTruth { error }.into();
+                (Trajectory::default(), Losses::default(), vec![note])
+            }
+        };
+        for note in &mut notes {
+            note.subject.log.clone_from(&of_log.log);
+        }
+        let path = run.path_of_log(Artifact::Truth, &log.name);
+        let provenance =
+            Provenance { losses: losses.clone(), notes: notes.clone(), ..provenance };
+        write_poses(&path, &provenance, &log.name, &trajectory)?;
+        Ok(Done { outputs: vec![path], losses, notes, summaries: Vec::new() })
+    })
 }
 
 /// Names the format of a file that is not MCAP, and the command that reads it.

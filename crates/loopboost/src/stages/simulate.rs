@@ -33,6 +33,7 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
         let task = Task {
             stage: Stage::Simulate,
             log: Some(Arc::from(name.as_str())),
+            only: None,
             inputs: inputs.clone(),
         };
         run.task(&task, |_| drive(run, &campus, k, name))?;

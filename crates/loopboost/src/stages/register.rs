@@ -1,0 +1,179 @@
+use std::collections::HashSet;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use anyhow::Result;
+use dataset::tables::{Provenance, read_keyframes, write_odometry, write_registered};
+use dataset::{Note, NoteKind, RangeLimits, RegisteredScan, ScanId, Subject};
+use model::OdometryNoise;
+use rayon::prelude::*;
+use register::{OdometryScan, RegisterOptions, register_drive};
+
+use crate::drives::{
+    DEGENERATE_RATIO, PosedScan, matrix, posed_scans, registration_limits, scans_of, upper_triangle,
+};
+use crate::findings::Findings;
+use crate::logs::LogFile;
+use crate::run::{Done, Run};
+use crate::stage::{Artifact, Stage};
+use crate::summary::Summary;
+
+/// Scans and poses -> registered/LOG.parquet, odometry.parquet
+///
+/// Each segment of a log is registered by itself.
+pub(crate) fn run(run: &Run) -> Result<Findings> {
+    run.task(&run.task_of(Stage::Register)?, |provenance| register(run, &provenance))
+}
+
+fn register(run: &Run, provenance: &Provenance) -> Result<Done> {
+    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
+    let keyframes: HashSet<ScanId> = keyframes.into_iter().map(|keyframe| keyframe.id).collect();
+    let logs = run.ingested_logs()?;
+    let mut segments = Vec::new();
+    for log in &logs {
+        segments.extend(Segment::of_log(run, log)?);
+    }
+    // The scans of a drive are matched one after the other, so drives are registered in parallel.
+    let options = &run.config.register;
+    let register = |segment: &Segment| segment.register(options, &keyframes);
+    let registered: Vec<Vec<RegisteredScan>> =
+        segments.par_iter().map(register).collect::<Result<_>>()?;
+    let mut registered = registered.into_iter().flatten().peekable();
+
+    let mut done = Done::default();
+    let mut of_logs = Vec::new();
+    for log in &logs {
+        let mut rows = Vec::new();
+        while let Some(row) = registered.next_if(|row| row.id.log == log.name) {
+            rows.push(row);
+        }
+        done.notes.extend(notes(run, log, &rows));
+        done.summaries.push(summary(log, &rows));
+        of_logs.push(rows);
+    }
+    let provenance = Provenance { notes: done.notes.clone(), ..provenance.clone() };
+    for (log, rows) in logs.iter().zip(&of_logs) {
+        let path = run.path_of_log(Artifact::Registered, &log.name);
+        write_registered(&path, &provenance, rows)?;
+        done.outputs.push(path);
+    }
+    let odometry: Vec<RegisteredScan> =
+        of_logs.into_iter().flatten().filter(|row| row.is_keyframe).collect();
+    let path = run.path_of(Artifact::Odometry);
+    write_odometry(&path, &provenance, &odometry)?;
+    done.outputs.push(path);
+    Ok(done)
+}
+
+/// A continuous piece of a log, before its registration.
+struct Segment {
+    log: Arc<str>,
+    /// The table of the scans of the log.
+    table: PathBuf,
+    /// The scans that can be used, with their poses.
+    scans: Vec<PosedScan>,
+    limits: RangeLimits,
+    noise: OdometryNoise,
+}
+
+impl Segment {
+    fn of_log(run: &Run, log: &LogFile) -> Result<Vec<Self>> {
+        let limits = registration_limits(&run.config, &log.name)?;
+        let segments = posed_scans(run, &log.name)?.into_iter().map(|mut scans| {
+            scans.retain(|scan| scan.is_usable);
+            Self {
+                log: log.name.clone(),
+                table: run.scans(&log.name),
+                scans,
+                limits,
+                noise: run.detector().odometry,
+            }
+        });
+        Ok(segments.filter(|segment| !segment.scans.is_empty()).collect())
+    }
+
+    fn register(
+        &self,
+        options: &RegisterOptions,
+        keyframes: &HashSet<ScanId>,
+    ) -> Result<Vec<RegisteredScan>> {
+        let id = |scan: u32| ScanId { log: self.log.clone(), scan };
+        let numbers: Vec<u32> = self.scans.iter().map(|scan| scan.scan).collect();
+        let scans = scans_of(&self.table, &numbers)?;
+        let input: Vec<OdometryScan<'_>> = self
+            .scans
+            .iter()
+            .zip(&scans)
+            .map(|(posed, scan)| OdometryScan {
+                scan,
+                odometry: posed.odometry.pose,
+                covariance: posed.odometry.covariance.map(matrix),
+                is_keyframe: keyframes.contains(&id(posed.scan)),
+            })
+            .collect();
+        let registered = register_drive(&input, self.limits, &self.noise, options);
+
+        let (mut travel_m, mut last) = (0.0, None);
+        let rows = registered.iter().map(|registered| {
+            let from = &input[registered.index];
+            travel_m += last.map_or(0.0, |last| from.odometry.distance_m(&last));
+            last = Some(from.odometry);
+            let weakness = registered.weakness.map(|weakness| weakness.ratio);
+            RegisteredScan {
+                id: id(numbers[registered.index]),
+                stamp_ns: from.scan.stamp_ns,
+                pose: registered.pose,
+                covariance: registered.covariance.as_ref().map(upper_triangle),
+                odometry: from.odometry,
+                near_share: registered.near_share,
+                weakness,
+                is_degenerate: weakness.is_some_and(|ratio| ratio < DEGENERATE_RATIO),
+                is_keyframe: from.is_keyframe,
+                segment: self.scans[registered.index].odometry.segment,
+                travel_m,
+            }
+        });
+        Ok(rows.collect())
+    }
+}
+
+/// A scan is matched poorly if less than this share of its points is near a point of the last metres.
+/// Scans of a robot that drives into unknown space have 0.7 and more.
+const POOR_NEAR_SHARE: f64 = 0.5;
+/// Poor matches over less than this path are not reported \[m\]: the map has caught up by then.
+const MIN_POOR_M: f64 = 5.0;
+
+/// Remarks about short segments, and about stretches in which scans were matched poorly.
+fn notes(run: &Run, log: &LogFile, rows: &[RegisteredScan]) -> Vec<Note> {
+    let min_path_m = run.config.detection().min_path_m;
+    let segments: Vec<_> = rows.chunk_by(|a, b| a.segment == b.segment).collect();
+    let length_m = |rows: &[RegisteredScan]| rows.last().map_or(0.0, |row| row.travel_m);
+    let n_short = segments.iter().filter(|rows| length_m(rows) < min_path_m).count() as u64;
+    let mut poor_m = Vec::new();
+    for rows in segments {
+        let is_poor = |row: &RegisteredScan| row.near_share < POOR_NEAR_SHARE;
+        let stretches = rows.chunk_by(|a, b| is_poor(a) == is_poor(b));
+        poor_m.extend(stretches.filter(|rows| is_poor(&rows[0])).filter_map(|rows| {
+            let length_m = rows[rows.len() - 1].travel_m - rows[0].travel_m;
+            (MIN_POOR_M <= length_m).then_some(length_m)
+        }));
+    }
+    let short = (0 < n_short).then_some(NoteKind::ShortSegments { n_segments: n_short, min_path_m });
+    let poor = (!poor_m.is_empty()).then(|| NoteKind::PoorScanMatching {
+        n_stretches: poor_m.len() as u64,
+        length_m: poor_m.iter().sum(),
+        near_share: POOR_NEAR_SHARE,
+    });
+    let of_log = |kind| Note::new(kind, Subject::log(&*log.name));
+    short.into_iter().chain(poor).map(of_log).collect()
+}
+
+fn summary(log: &LogFile, rows: &[RegisteredScan]) -> Summary {
+    let segments = rows.chunk_by(|a, b| a.segment == b.segment);
+    Summary::Registered {
+        log: log.name.to_string(),
+        n_scans: rows.len() as u64,
+        n_degenerate: rows.iter().filter(|row| row.is_degenerate).count() as u64,
+        length_m: segments.map(|rows| rows[rows.len() - 1].travel_m).sum(),
+    }
+}
