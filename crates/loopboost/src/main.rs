@@ -18,6 +18,7 @@ mod detection;
 mod disagreement;
 mod drives;
 mod findings;
+mod found_drives;
 mod goal;
 mod import;
 mod inspect;

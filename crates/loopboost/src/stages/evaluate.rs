@@ -8,17 +8,50 @@ use dataset::tables::{
     read_pairs, read_retrieval, read_rounds, read_scores, write_file,
 };
 use dataset::{Keyframe, Note, Scan};
+use evaluate::detection;
 use evaluate::{Evaluation, Fact, Input, Sketches};
 
 use crate::config::Config;
 use crate::findings::Findings;
+use crate::found_drives::FoundDrive;
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
 use crate::summary::{RoundsError, Summary};
 
-/// Scores -> evaluation/, report.html
+/// Scores, closures -> evaluation/, report.html
 pub(crate) fn run(run: &Run) -> Result<Findings> {
-    run.task(&run.task_of(Stage::Evaluate)?, |provenance| evaluate(run, &provenance))
+    let mut task = run.task_of(Stage::Evaluate)?;
+    if !run.goal.detects() {
+        // Only loop detection is compared with the ground truth and the poses.
+        task.inputs.retain(|input| {
+            let name = input.parent().and_then(|folder| folder.file_name());
+            !name.is_some_and(|name| name == "poses" || name == "truth")
+        });
+    }
+    run.task(&task, |provenance| {
+        let mut done = Done::default();
+        if run.goal.detects() {
+            done = closures(run, &provenance)?;
+        }
+        if run.goal.trains() {
+            let of_scores = evaluate(run, &provenance)?;
+            done.outputs.extend(of_scores.outputs);
+            done.summaries.extend(of_scores.summaries);
+        }
+        Ok(done)
+    })
+}
+
+/// The measures of loop closures and trajectories.
+fn closures(run: &Run, provenance: &Provenance) -> Result<Done> {
+    let found = FoundDrive::load_all(run)?;
+    let closures: Vec<_> = found.iter().map(FoundDrive::closures).collect();
+    let drives: Vec<_> =
+        found.iter().zip(&closures).map(|(found, closures)| found.drive(closures)).collect();
+    let measures: Vec<_> = drives.iter().map(detection::measure).collect();
+    let folder = run.path("evaluation");
+    let outputs = detection::write_detection(&folder, provenance, &drives, &measures)?;
+    Ok(Done { outputs, ..Done::default() })
 }
 
 /// As [`run`], and then prints the numbers.

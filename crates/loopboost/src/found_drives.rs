@@ -1,0 +1,194 @@
+//! What was found in the drives of a run, as `evaluate` takes it.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use anyhow::{Result, anyhow};
+use dataset::tables::{
+    read_candidates, read_closures, read_poses, read_registered, read_trajectory,
+};
+use dataset::{
+    CandidateClosure, JudgedClosure, MapPose, Pose2, RegisteredScan, ScanClosure, ScanId,
+    Trajectory,
+};
+use evaluate::detection::{
+    Drive, Evidence, FoundCandidate, FoundClosure, KeyframePoses, ScanPoses,
+};
+
+use crate::drives::{PosedScan, posed_scans};
+use crate::logs::LogFile;
+use crate::run::Run;
+use crate::stage::{Artifact, Stage};
+
+/// What the stages `register`, `detect` and `optimize` found in a segment of a log.
+pub(crate) struct FoundDrive {
+    log: Arc<str>,
+    segment: u32,
+    keyframes: Vec<KeyframePoses>,
+    scans: Vec<ScanPoses>,
+    candidates: Vec<FoundCandidate>,
+    /// Each closure with the indices of its keyframes, the query first.
+    closures: Vec<(JudgedClosure, [usize; 2])>,
+    truth: Option<Arc<Trajectory>>,
+}
+
+/// The tables that all logs of a run share.
+struct Shared {
+    candidates: Vec<CandidateClosure>,
+    closures: Vec<JudgedClosure>,
+    keyframes: Vec<MapPose>,
+}
+
+impl FoundDrive {
+    /// The drives of all logs.
+    pub(crate) fn load_all(run: &Run) -> Result<Vec<Self>> {
+        let shared = Shared {
+            candidates: read_candidates(&run.path_of(Artifact::Candidates))?.0,
+            closures: read_closures(&run.path_of(Artifact::Closures))?.0,
+            keyframes: read_trajectory(&run.path_of(Artifact::Trajectory))?.0,
+        };
+        let mut drives = Vec::new();
+        for log in run.ingested_logs()? {
+            drives.extend(Self::of_log(run, &log, &shared)?);
+        }
+        Ok(drives)
+    }
+
+    fn of_log(run: &Run, log: &LogFile, shared: &Shared) -> Result<Vec<Self>> {
+        let path = |artifact| run.path_of_log(artifact, &log.name);
+        let (registered, _) = read_registered(&path(Artifact::Registered))?;
+        let (optimized, _) = read_poses(&path(Artifact::ScanTrajectory))?;
+        let truth = match run.goal.has(Artifact::Truth) {
+            true => Some(read_poses(&path(Artifact::Truth))?.0),
+            false => None,
+        };
+        let truth = truth.filter(|truth| !truth.poses().is_empty()).map(Arc::new);
+        let posed = posed_scans(run, &log.name)?;
+        let segments = registered.chunk_by(|a, b| a.segment == b.segment);
+        segments
+            .map(|rows| {
+                let segment = rows[0].segment;
+                let posed = posed.iter().find(|scans| scans[0].odometry.segment == segment);
+                let (keyframes, ids) = keyframes(rows, &shared.keyframes);
+                let index = |closure: &ScanClosure| -> Option<[usize; 2]> {
+                    Some([*ids.get(&closure.query)?, *ids.get(&closure.reference)?])
+                };
+                let candidates = shared.candidates.iter().filter_map(|candidate| {
+                    Some(found_candidate(&candidate.closure, index(&candidate.closure)?))
+                });
+                let closures = shared.closures.iter().filter_map(|judged| {
+                    Some((judged.clone(), index(&judged.closure)?))
+                });
+                Ok(Self {
+                    log: log.name.clone(),
+                    segment,
+                    scans: scans(posed.map(Vec::as_slice).unwrap_or_default(), rows, &optimized)?,
+                    candidates: candidates.collect(),
+                    closures: closures.collect(),
+                    truth: truth.clone(),
+                    keyframes,
+                })
+            })
+            .collect()
+    }
+
+    /// The closures of the drive.
+    pub(crate) fn closures(&self) -> Vec<FoundClosure<'_>> {
+        let of_row = |(JudgedClosure { closure, rejected }, [query, reference]): &'_ (
+            JudgedClosure,
+            [usize; 2],
+        )| {
+            let found = found_candidate(closure, [*query, *reference]);
+            FoundClosure {
+                query: *query,
+                reference: *reference,
+                reference_from_query: found.reference_from_query,
+                covariance: closure.covariance,
+                confidence: closure.confidence,
+                rejected: rejected.as_deref(),
+                evidence: Evidence {
+                    overlap: closure.overlap,
+                    known_overlap: closure.known_overlap,
+                    conflict: closure.conflict,
+                    margin: closure.margin,
+                    classifier: closure.classifier,
+                    is_degenerate: closure.is_degenerate,
+                },
+            }
+        };
+        self.closures.iter().map(of_row).collect()
+    }
+
+    /// The drive with its closures, from [`Self::closures`].
+    pub(crate) fn drive<'a>(&'a self, closures: &'a [FoundClosure<'a>]) -> Drive<'a> {
+        Drive {
+            log: &self.log,
+            segment: self.segment,
+            keyframes: &self.keyframes,
+            scans: &self.scans,
+            candidates: &self.candidates,
+            closures,
+            truth: self.truth.as_deref(),
+            // The poses of a run are those of the lidar.
+            base_from_lidar: Pose2::default(),
+        }
+    }
+}
+
+/// The keyframes of a drive, and the index of each.
+fn keyframes(
+    rows: &[RegisteredScan],
+    optimized: &[MapPose],
+) -> (Vec<KeyframePoses>, HashMap<ScanId, usize>) {
+    let optimized: HashMap<&ScanId, &MapPose> = optimized.iter().map(|k| (&k.id, k)).collect();
+    let found: Vec<(&RegisteredScan, &MapPose)> =
+        rows.iter().filter_map(|row| Some((row, *optimized.get(&row.id)?))).collect();
+    let ids = found.iter().map(|(row, _)| row.id.clone()).zip(0..).collect();
+    let keyframe = |(row, optimized): &(&RegisteredScan, &MapPose)| KeyframePoses {
+        scan: row.id.scan,
+        stamp_ns: row.stamp_ns,
+        path_m: row.travel_m,
+        odometry: row.odometry,
+        scan_matched: row.pose,
+        optimized: optimized.pose,
+        covariance: optimized.covariance,
+    };
+    (found.iter().map(keyframe).collect(), ids)
+}
+
+/// The poses of all scans of a drive.
+fn scans(
+    posed: &[PosedScan],
+    rows: &[RegisteredScan],
+    optimized: &Trajectory,
+) -> Result<Vec<ScanPoses>> {
+    let registered: HashMap<u32, Pose2> = rows.iter().map(|row| (row.id.scan, row.pose)).collect();
+    posed
+        .iter()
+        .map(|scan| {
+            let stamp_ns = scan.odometry.stamp_ns;
+            let pose = optimized.pose_at(stamp_ns, 0).map_err(|_| {
+                anyhow!(
+                    "the trajectory has no pose at the stamp {stamp_ns} ns of scan {}; run `{}` again",
+                    scan.scan,
+                    Stage::Optimize.command()
+                )
+            })?;
+            Ok(ScanPoses {
+                stamp_ns,
+                odometry: scan.odometry.pose,
+                scan_matched: registered.get(&scan.scan).copied(),
+                optimized: pose,
+            })
+        })
+        .collect()
+}
+
+fn found_candidate(closure: &ScanClosure, [query, reference]: [usize; 2]) -> FoundCandidate {
+    FoundCandidate {
+        query,
+        reference,
+        reference_from_query: closure.reference_from_query,
+        confidence: closure.confidence,
+    }
+}
