@@ -72,6 +72,8 @@ pub(crate) fn check_register(options: &RegisterOptions) -> Result<(), OutOfRange
     for (key, found) in [
         ("spacing_m", options.spacing_m),
         ("turn_deg", options.turn_deg),
+        ("full_circle_spacing_m", options.full_circle_spacing_m),
+        ("full_circle_turn_deg", options.full_circle_turn_deg),
         ("max_range_m", options.max_range_m),
     ] {
         if !(found.is_finite() && 0.0 < found) {

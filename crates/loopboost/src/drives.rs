@@ -110,8 +110,8 @@ pub(crate) fn posed_scans(run: &Run, log: &str) -> Result<Vec<Vec<PosedScan>>> {
 /// The range limits of the registration of a log: those of its lidar, up to `register.max_range_m`.
 pub(crate) fn registration_limits(config: &Config, log: &str) -> Result<RangeLimits> {
     let lidar = config.for_log(log)?.lidar;
-    let max_m = lidar.range_max_m.min(config.register.max_range_m);
-    Ok(RangeLimits { min_m: lidar.range_min_m, max_m })
+    let limits = RangeLimits { min_m: lidar.range_min_m, max_m: lidar.range_max_m };
+    Ok(config.register.limits(limits))
 }
 
 /// The row of a closure between two of the registered scans of a drive.

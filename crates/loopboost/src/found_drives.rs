@@ -15,6 +15,8 @@ use evaluate::detection::{
     Drive, Evidence, FoundCandidate, FoundClosure, KeyframePoses, ScanPoses,
 };
 
+use optimize::Reason;
+
 use crate::drives::{PosedScan, posed_scans};
 use crate::logs::LogFile;
 use crate::run::Run;
@@ -76,9 +78,10 @@ impl FoundDrive {
                 let candidates = shared.candidates.iter().filter_map(|candidate| {
                     Some(found_candidate(&candidate.closure, index(&candidate.closure)?))
                 });
-                let closures = shared.closures.iter().filter_map(|judged| {
-                    Some((judged.clone(), index(&judged.closure)?))
-                });
+                let closures = shared
+                    .closures
+                    .iter()
+                    .filter_map(|judged| Some((judged.clone(), index(&judged.closure)?)));
                 Ok(Self {
                     log: log.name.clone(),
                     segment,
@@ -93,34 +96,32 @@ impl FoundDrive {
     }
 
     /// The closures of the drive.
-    pub(crate) fn closures(&self) -> Vec<FoundClosure<'_>> {
-        let of_row = |(JudgedClosure { closure, rejected }, [query, reference]): &'_ (
-            JudgedClosure,
-            [usize; 2],
-        )| {
-            let found = found_candidate(closure, [*query, *reference]);
-            FoundClosure {
-                query: *query,
-                reference: *reference,
-                reference_from_query: found.reference_from_query,
-                covariance: closure.covariance,
-                confidence: closure.confidence,
-                rejected: rejected.as_deref(),
-                evidence: Evidence {
-                    overlap: closure.overlap,
-                    known_overlap: closure.known_overlap,
-                    conflict: closure.conflict,
-                    margin: closure.margin,
-                    classifier: closure.classifier,
-                    is_degenerate: closure.is_degenerate,
-                },
-            }
-        };
+    pub(crate) fn closures(&self) -> Vec<FoundClosure> {
+        let of_row =
+            |(JudgedClosure { closure, rejected }, [query, reference]): &(_, [usize; 2])| {
+                let found = found_candidate(closure, [*query, *reference]);
+                FoundClosure {
+                    query: *query,
+                    reference: *reference,
+                    reference_from_query: found.reference_from_query,
+                    covariance: closure.covariance,
+                    confidence: closure.confidence,
+                    rejected: rejected.as_deref().and_then(code_of_reason),
+                    evidence: Evidence {
+                        overlap: closure.overlap,
+                        known_overlap: closure.known_overlap,
+                        conflict: closure.conflict,
+                        margin: closure.margin,
+                        classifier: closure.classifier,
+                        is_degenerate: closure.is_degenerate,
+                    },
+                }
+            };
         self.closures.iter().map(of_row).collect()
     }
 
     /// The drive with its closures, from [`Self::closures`].
-    pub(crate) fn drive<'a>(&'a self, closures: &'a [FoundClosure<'a>]) -> Drive<'a> {
+    pub(crate) fn drive<'a>(&'a self, closures: &'a [FoundClosure]) -> Drive<'a> {
         Drive {
             log: &self.log,
             segment: self.segment,
@@ -133,6 +134,13 @@ impl FoundDrive {
             base_from_lidar: Pose2::default(),
         }
     }
+}
+
+/// The code of a reason.
+fn code_of_reason(reason: &str) -> Option<&'static str> {
+    const ALL: [Reason; 4] =
+        [Reason::LowConfidence, Reason::Inconsistent, Reason::Unsupported, Reason::NotConfirmed];
+    ALL.into_iter().map(Reason::code).find(|code| *code == reason)
 }
 
 /// The keyframes of a drive, and the index of each.

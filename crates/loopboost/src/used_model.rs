@@ -37,10 +37,10 @@ impl UsedModel {
     /// The features of the model replace those of the pipeline.
     pub(crate) fn set_features(&self, config: &mut Config) -> Result<()> {
         let spec = &self.model.features;
-        let set = FeatureSet::ALL.into_iter().find(|set| set.name() == spec.set).filter(|set| {
-            set.version() == spec.version
-                && set.feature_names() == spec.names
-        });
+        let set = FeatureSet::ALL
+            .into_iter()
+            .find(|set| set.name() == spec.set)
+            .filter(|set| set.version() == spec.version && set.feature_names() == spec.names);
         config.featurize.set = set.ok_or_else(|| {
             let known = FeatureSet::ALL.map(|set| format!("`{}` v{}", set.name(), set.version()));
             anyhow!(

@@ -146,9 +146,8 @@ impl Run {
         let names: Vec<&String> = outputs.into_iter().flat_map(BTreeMap::keys).collect();
         let of_learner = |learner: &train::Learner| {
             let prefix = format!("models/{}-{}/", self.config.name, learner.name());
-            let is_model = |name: &&&String| {
-                name.starts_with(&prefix) && name.ends_with("/model.json")
-            };
+            let is_model =
+                |name: &&&String| name.starts_with(&prefix) && name.ends_with("/model.json");
             names.iter().find(is_model).map(|name| self.path(name))
         };
         self.config.train.learners.iter().filter_map(of_learner).collect()

@@ -1,9 +1,7 @@
 use std::collections::HashMap;
 
 use anyhow::{Result, anyhow};
-use dataset::tables::{
-    FeatureTable, Provenance, read_features, read_keyframes, write_candidates,
-};
+use dataset::tables::{FeatureTable, Provenance, read_features, read_keyframes, write_candidates};
 use dataset::{CandidateClosure, Keyframe, Note, NoteKind, RegisteredScan, ScanId, Subject};
 use detect::{Candidate, Places, find_candidates};
 use optimize::Proposal;
@@ -58,14 +56,12 @@ struct Found {
 fn candidates_of(run: &Run, registered: &RegisteredDrive, scorer: Option<&Scorer<'_>>) -> Found {
     let options = run.config.detection();
     let drive = registered.drive();
-    let places =
-        Places::new(&drive, &drive.poses, options.place_step_m, options.place_half_m);
+    let places = Places::new(&drive, &drive.poses, options.place_step_m, options.place_half_m);
     let ids: Vec<&ScanId> = registered.rows.iter().map(|row| &row.id).collect();
     let scorer = scorer.filter(|scorer| scorer.can_score(ids.first().copied()));
     let classify = |a: usize, b: usize| scorer.map_or(0.0, |scorer| scorer.score(ids[a], ids[b]));
     let classify: Option<detect::Classify<'_>> = scorer.is_some().then_some(&classify);
-    let candidates =
-        find_candidates(&drive, &places, run.detector(), options.min_path_m, classify);
+    let candidates = find_candidates(&drive, &places, run.detector(), options.min_path_m, classify);
     Found { n_places: places.scans.len(), candidates }
 }
 
@@ -123,8 +119,7 @@ impl<'a> Scorer<'a> {
     /// Confidence of the classifier for two keyframes.
     fn score(&self, a: &ScanId, b: &ScanId) -> f64 {
         let row = |id| self.features.row(self.rows[id]);
-        let difference: Vec<f64> =
-            row(a).iter().zip(row(b)).map(|(a, b)| (a - b).abs()).collect();
+        let difference: Vec<f64> = row(a).iter().zip(row(b)).map(|(a, b)| (a - b).abs()).collect();
         self.model.classifier.confidence(&difference)
     }
 }

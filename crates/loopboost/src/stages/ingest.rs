@@ -219,8 +219,7 @@ fn ingest_truth(run: &Run, log: &LogFile) -> Result<Findings> {
             note.subject.log.clone_from(&of_log.log);
         }
         let path = run.path_of_log(Artifact::Truth, &log.name);
-        let provenance =
-            Provenance { losses: losses.clone(), notes: notes.clone(), ..provenance };
+        let provenance = Provenance { losses: losses.clone(), notes: notes.clone(), ..provenance };
         write_poses(&path, &provenance, &log.name, &trajectory)?;
         Ok(Done { outputs: vec![path], losses, notes, summaries: Vec::new() })
     })

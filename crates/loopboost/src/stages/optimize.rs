@@ -171,14 +171,11 @@ fn aligned_poses(
             scan,
             odometry: posed.odometry.pose,
             covariance: posed.odometry.covariance.map(matrix),
-            is_keyframe: rows
-                .get(&posed.scan)
-                .is_some_and(|&row| registered.rows[row].is_keyframe),
+            is_keyframe: rows.get(&posed.scan).is_some_and(|&row| registered.rows[row].is_keyframe),
         })
         .collect();
-    let in_input: Vec<usize> = positions(&registered.rows, posed).with_context(|| {
-        format!("log `{}`: registered scans and poses do not match", log.name)
-    })?;
+    let in_input: Vec<usize> = positions(&registered.rows, posed)
+        .with_context(|| format!("log `{}`: registered scans and poses do not match", log.name))?;
     let limits = registration_limits(&run.config, &log.name)?;
     Ok(align_every_scan(&registered.drive(), &solution.poses, &in_input, &input, limits))
 }
@@ -210,9 +207,8 @@ fn interpolated_poses(
     let of_scan = |scan: &PosedScan| {
         let stamp_ns = scan.odometry.stamp_ns;
         let after = rows.partition_point(|row| row.stamp_ns <= stamp_ns);
-        let along = |row: usize| {
-            optimized[row] * (rows[row].odometry.inverse() * scan.odometry.pose)
-        };
+        let along =
+            |row: usize| optimized[row] * (rows[row].odometry.inverse() * scan.odometry.pose);
         match (after.checked_sub(1), after < rows.len()) {
             (Some(last), true) => {
                 let (a, b) = (along(last), along(after));
@@ -283,11 +279,8 @@ impl Graph {
         for (row, id) in ids.iter_mut().enumerate().filter(|(_, id)| id.is_some()) {
             *id = Some(self.n_vertices);
             let Pose2 { x_m, y_m, heading_rad } = solution.poses[row];
-            let _ = writeln!(
-                self.vertices,
-                "VERTEX_SE2 {} {x_m} {y_m} {heading_rad}",
-                self.n_vertices
-            );
+            let _ =
+                writeln!(self.vertices, "VERTEX_SE2 {} {x_m} {y_m} {heading_rad}", self.n_vertices);
             self.n_vertices += 1;
         }
         for Edge { a, b, a_from_b, information } in &solution.edges {
@@ -364,9 +357,8 @@ mod tests {
     #[test]
     fn a_trajectory_as_text_has_nanoseconds_and_quaternions() {
         let heading_rad = std::f64::consts::FRAC_PI_2;
-        let pose = |stamp_ns| {
-            StampedPose::new(stamp_ns, Pose2 { x_m: 1.5, y_m: -2.0, heading_rad })
-        };
+        let pose =
+            |stamp_ns| StampedPose::new(stamp_ns, Pose2 { x_m: 1.5, y_m: -2.0, heading_rad });
         let (trajectory, _) = Trajectory::new(vec![pose(1_000_000_007), pose(-1)]);
         let text = tum(&trajectory);
         let lines: Vec<&str> = text.lines().collect();

@@ -158,7 +158,8 @@ fn notes(run: &Run, log: &LogFile, rows: &[RegisteredScan]) -> Vec<Note> {
             (MIN_POOR_M <= length_m).then_some(length_m)
         }));
     }
-    let short = (0 < n_short).then_some(NoteKind::ShortSegments { n_segments: n_short, min_path_m });
+    let short =
+        (0 < n_short).then_some(NoteKind::ShortSegments { n_segments: n_short, min_path_m });
     let poor = (!poor_m.is_empty()).then(|| NoteKind::PoorScanMatching {
         n_stretches: poor_m.len() as u64,
         length_m: poor_m.iter().sum(),
