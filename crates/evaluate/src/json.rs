@@ -50,6 +50,7 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
             "chosen": row.chosen,
         })).collect::<Vec<_>>(),
         "grid": grid.collect::<Vec<_>>(),
+        "detection": evaluation.detection,
         "losses": input.losses,
         "notes": input.notes,
         "paper": { "learners": ["discrete", "gentle"], "rounds": PAPER_ROUNDS, "error_below": PAPER_ERROR_BELOW },

@@ -43,13 +43,15 @@ use dataset::{
 };
 
 pub use bootstrap::{Estimate, MIN_GROUPS, Summary};
-pub use figures::{Figure, Sketches, figures, path_svg, write_figures};
+pub use figures::{
+    ClosureSketches, Figure, Sketches, closure_figures, figures, path_svg, write_figures,
+};
 pub use json::json;
 pub use metrics::{
     Confusion, Measures, OperatingPoint, PrPoint, operating_points, precision_recall,
 };
 pub use options::Options;
-pub use report::{Fact, report};
+pub use report::{ClosureReport, Fact, closure_report, report};
 pub use retrieval::{Ranked, rank};
 pub use spread::Spread;
 pub use tables::write_tables;
@@ -92,6 +94,8 @@ pub struct Input<'a> {
     pub losses: &'a Losses,
     /// The notes of the stages of the run, without `not_evaluated`.
     pub notes: &'a [Note],
+    /// The drives whose loop closures were searched; empty if none were.
+    pub detection: &'a [detection::Drive<'a>],
 }
 
 impl Input<'_> {
@@ -161,6 +165,8 @@ pub struct Evaluation {
     pub precision_recall: Vec<PrCurve>,
     /// The mistakes of each learner and grouping, the most confident first.
     pub mistakes: Vec<Mistake>,
+    /// The measures of the loop closures of each drive.
+    pub detection: Vec<detection::DriveMeasures>,
 }
 
 impl Evaluation {
@@ -205,6 +211,7 @@ pub fn evaluate(input: &Input<'_>) -> Evaluation {
     let mut evaluation = Evaluation {
         spreads: spread::spreads(input),
         summaries: bootstrap::summaries(&labels, input.scores, input.resamples, input.seed),
+        detection: input.detection.iter().map(detection::measure).collect(),
         ..Evaluation::default()
     };
     for scores in input.scores {

@@ -7,10 +7,11 @@ use arrow_array::{ArrayRef, Float64Array, Int8Array, StringArray, UInt32Array, U
 use dataset::tables::{Provenance, Result, batch, floats, strings, write_table};
 use dataset::{BoostingRound, FeatureUsefulness};
 
+use crate::detection::write_detection;
 use crate::{Confusion, ErrorRow, Evaluation, Input, Mistake, PrCurve, Summary};
 
 /// Writes `summary`, `errors`, `precision_recall`, `selection`, `features` and `mistakes` to a folder
-/// and returns their paths.
+/// and returns their paths. If loop closures were searched, the files of [`write_detection`] follow.
 ///
 /// | table | a row is | columns |
 /// |---|---|---|
@@ -40,6 +41,10 @@ pub fn write_tables(
         let batch = batch(table.columns, table.nullable);
         write_table(&path, table.name, provenance, &batch)?;
         written.push(path);
+    }
+    if !input.detection.is_empty() {
+        let (drives, measures) = (input.detection, &evaluation.detection);
+        written.extend(write_detection(folder, provenance, drives, measures)?);
     }
     Ok(written)
 }

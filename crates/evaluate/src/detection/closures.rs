@@ -174,10 +174,10 @@ impl CandidateErrors {
 /// Each closure compared with the truth.
 pub(crate) fn judge_closures(
     truth: &[Option<TruePose>],
-    of: &[FoundClosure],
+    of: &[FoundClosure<'_>],
 ) -> Vec<Option<Judged>> {
     let judge =
-        |c: &FoundClosure| Judged::of(truth, (c.query, c.reference), c.reference_from_query);
+        |c: &FoundClosure<'_>| Judged::of(truth, (c.query, c.reference), c.reference_from_query);
     of.iter().map(judge).collect()
 }
 

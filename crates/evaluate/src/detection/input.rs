@@ -16,7 +16,7 @@ pub struct Drive<'a> {
     /// What `detect` proposes.
     pub candidates: &'a [FoundCandidate],
     /// What `optimize` accepts and rejects.
-    pub closures: &'a [FoundClosure],
+    pub closures: &'a [FoundClosure<'a>],
     /// The ground truth of the log, if it is known.
     pub truth: Option<&'a Trajectory>,
     /// Pose of the lidar on the robot.
@@ -71,7 +71,7 @@ pub struct FoundCandidate {
 
 /// A closure that `optimize` accepted or rejected.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FoundClosure {
+pub struct FoundClosure<'a> {
     /// Index of the later keyframe in [`Drive::keyframes`].
     pub query: usize,
     /// Index of the earlier keyframe in [`Drive::keyframes`].
@@ -84,7 +84,7 @@ pub struct FoundClosure {
     /// Confidence that the pose is right, 0 to 1.
     pub confidence: f64,
     /// The code of the reason for which it was rejected; `None` if it was accepted.
-    pub rejected: Option<&'static str>,
+    pub rejected: Option<&'a str>,
     /// What speaks for and against it.
     pub evidence: Evidence,
 }

@@ -42,7 +42,7 @@ pub struct DriveMeasures {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Rejected {
     /// The code of the reason.
-    pub reason: &'static str,
+    pub reason: String,
     /// Number of closures.
     pub n: usize,
 }
@@ -141,7 +141,7 @@ pub struct TrajectoryErrors {
 
 /// Computes the measures of a drive.
 pub fn measure(drive: &Drive<'_>) -> DriveMeasures {
-    let mut rejected: BTreeMap<&'static str, usize> = BTreeMap::new();
+    let mut rejected: BTreeMap<&str, usize> = BTreeMap::new();
     for reason in drive.closures.iter().filter_map(|closure| closure.rejected) {
         *rejected.entry(reason).or_default() += 1;
     }
@@ -154,7 +154,10 @@ pub fn measure(drive: &Drive<'_>) -> DriveMeasures {
         path_m: drive.keyframes.last().map_or(0.0, |k| k.path_m),
         n_candidates: drive.candidates.len(),
         n_accepted: drive.closures.len() - n_rejected,
-        rejected: rejected.into_iter().map(|(reason, n)| Rejected { reason, n }).collect(),
+        rejected: rejected
+            .into_iter()
+            .map(|(reason, n)| Rejected { reason: reason.to_owned(), n })
+            .collect(),
         truth: drive.truth.and_then(|truth| against_truth(drive, &Truth::new(truth, drive.scans))),
     }
 }
@@ -206,6 +209,22 @@ fn trajectory_errors(drive: &Drive<'_>, truth: &Truth, source: PoseSource) -> Tr
         ate_rmse_m: align(&truth, &estimate).map(|alignment| alignment.rmse_m),
         drift: DRIFT_PATHS_M.into_iter().filter_map(drift).collect(),
     }
+}
+
+/// The differences of relative poses from those of the optimized trajectory, at the stamps of a source:
+/// an estimate of its drift without ground truth.
+pub fn differences(drive: &Drive<'_>, source: PoseSource) -> Vec<Drift> {
+    let optimized: BTreeMap<i64, Pose2> =
+        drive.scans.iter().map(|scan| (scan.stamp_ns, scan.optimized)).collect();
+    let (optimized, estimate): (Vec<Pose2>, Vec<Pose2>) = source
+        .poses(drive)
+        .into_iter()
+        .filter_map(|(stamp_ns, pose)| Some((*optimized.get(&stamp_ns)?, pose)))
+        .unzip();
+    DRIFT_PATHS_M
+        .into_iter()
+        .filter_map(|path_m| relative_errors(&optimized, &estimate, path_m))
+        .collect()
 }
 
 /// Precision and recall of the candidates that are right or false.
@@ -307,7 +326,7 @@ mod tests {
     fn drive<'a>(
         circle: &'a Circle,
         candidates: &'a [FoundCandidate],
-        closures: &'a [FoundClosure],
+        closures: &'a [FoundClosure<'a>],
     ) -> Drive<'a> {
         Drive {
             log: "circle",
@@ -327,7 +346,7 @@ mod tests {
         reference: usize,
         dx_m: f64,
         rejected: Option<&'static str>,
-    ) -> FoundClosure {
+    ) -> FoundClosure<'static> {
         FoundClosure {
             query,
             reference,
@@ -360,7 +379,7 @@ mod tests {
         ];
         let found = measure(&drive(&circle, &candidates, &closures));
         assert_eq!((found.n_accepted, found.n_candidates, found.segment), (2, 3, 2));
-        assert_eq!(found.rejected, [Rejected { reason: "inconsistent", n: 1 }]);
+        assert_eq!(found.rejected, [Rejected { reason: "inconsistent".to_owned(), n: 1 }]);
         let truth = found.truth.unwrap();
         assert_eq!((truth.n_known, truth.n_measured), (250, 250));
         assert_eq!((truth.closures.n_judged, truth.closures.n_false_by_pose), (2, 0));

@@ -30,7 +30,9 @@ pub use closures::{
     Verdict,
 };
 pub use input::{Drive, Evidence, FoundCandidate, FoundClosure, KeyframePoses, ScanPoses};
-pub use measure::{AgainstTruth, DriveMeasures, PoseSource, Rejected, TrajectoryErrors, measure};
+pub use measure::{
+    AgainstTruth, DriveMeasures, PoseSource, Rejected, TrajectoryErrors, differences, measure,
+};
 pub use revisits::{
     NEAR_PATH_M, REVISIT_M, REVISIT_PATH_M, Revisit, RevisitCounts, Revisits, revisits,
 };

@@ -213,7 +213,7 @@ mod tests {
     fn drive<'a>(
         keyframes: &'a [KeyframePoses],
         candidates: &'a [FoundCandidate],
-        closures: &'a [FoundClosure],
+        closures: &'a [FoundClosure<'a>],
     ) -> Drive<'a> {
         Drive {
             log: "a",

@@ -191,7 +191,7 @@ fn closure_errors(drives: &[Drive<'_>], measures: &[DriveMeasures]) -> Table {
     struct Row<'a> {
         drive: &'a Drive<'a>,
         measures: &'a DriveMeasures,
-        closure: &'a FoundClosure,
+        closure: &'a FoundClosure<'a>,
         judged: Option<Judged>,
     }
     let rows: Vec<Row<'_>> = drives
@@ -207,7 +207,7 @@ fn closure_errors(drives: &[Drive<'_>], measures: &[DriveMeasures]) -> Table {
             })
         })
         .collect();
-    let scan = |of: fn(&FoundClosure) -> usize| {
+    let scan = |of: fn(&FoundClosure<'_>) -> usize| {
         numbers(rows.iter().map(|r| r.drive.keyframes[of(r.closure)].scan))
     };
     let value =

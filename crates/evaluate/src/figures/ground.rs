@@ -68,25 +68,36 @@ impl Ground {
     }
 
     pub(crate) fn svg(&self, id: &str, site: &str, path: &[Vec<Pose2>]) -> Markup {
-        let at = |p: &Pose2| {
-            let east = (p.x_m - self.min_m[0]) / self.cell_m;
-            let north = (self.extent_m[1] - (p.y_m - self.min_m[1])) / self.cell_m;
-            (MARGIN + east, MARGIN + north)
+        let text = format!("Scans of site {site} drawn along the path");
+        let lines = html! {
+            @for log in path {
+                path class="path" d=(polyline(log.iter().map(|pose| self.at(pose)))) {}
+            }
         };
+        self.svg_with(id, &text, &lines)
+    }
+
+    /// The scans with other things drawn over them, at the pixels of [`Ground::at`].
+    pub(crate) fn svg_with(&self, id: &str, text: &str, over: &Markup) -> Markup {
         let height = self.extent_m[1] / self.cell_m + 2.0 * MARGIN + 22.0;
         let bar_m = round_length(self.extent_m[0].max(self.extent_m[1]) / 5.0);
         html! {
-            svg id=(id) class="map" viewBox={ "0 0 " (SIZE) " " (px(height)) } role="img" aria-label={ "Scans of site " (site) " drawn along the path" } {
+            svg id=(id) class="map" viewBox={ "0 0 " (SIZE) " " (px(height)) } role="img" aria-label=(text) {
                 path class="walls" d=(self.runs()) {}
-                @for log in path {
-                    path class="path" d=(polyline(log.iter().map(at))) {}
-                }
+                (over)
                 g class="ticks" {
                     path class="scale" d={ "M" (MARGIN) " " (px(height - 12.0)) "h" (px(bar_m / self.cell_m)) } {}
                     text x=(px(MARGIN + bar_m / self.cell_m + 8.0)) y=(px(height - 7.5)) { (bar_m) " m" }
                 }
             }
         }
+    }
+
+    /// The pixel of a position.
+    pub(crate) fn at(&self, pose: &Pose2) -> (f64, f64) {
+        let east = (pose.x_m - self.min_m[0]) / self.cell_m;
+        let north = (self.extent_m[1] - (pose.y_m - self.min_m[1])) / self.cell_m;
+        (MARGIN + east, MARGIN + north)
     }
 
     /// A line for each run of adjacent cells in a row. Each line starts relative to the end of the

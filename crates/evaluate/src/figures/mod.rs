@@ -4,6 +4,8 @@
 //! same figures are written as separate files to `evaluation/figures/`.
 
 mod chart;
+mod closure_sketches;
+mod closures;
 mod curves;
 mod first_rounds;
 mod ground;
@@ -16,6 +18,10 @@ mod svg;
 
 use dataset::Pose2;
 
+pub use closure_sketches::ClosureSketches;
+pub(crate) use closure_sketches::{DriveSketch, Overlay};
+pub use closures::closure_figures;
+pub(crate) use closures::{drive_name, overlay_id, source_name};
 pub(crate) use path::path_caption;
 pub use path::path_svg;
 pub(crate) use sketches::PairKind;
@@ -57,6 +63,7 @@ pub fn figures(input: &Input<'_>, evaluation: &Evaluation, sketches: &Sketches) 
         let id = format!("path-{}", k + 1);
         figures.push(Figure::new(&id, path::path(&id, of_log)));
     }
+    figures.extend(closure_figures(input.detection, &evaluation.detection, &sketches.closures));
     figures
 }
 

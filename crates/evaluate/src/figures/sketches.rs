@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use dataset::{Label, Pose2, Scan};
 
+use super::closure_sketches::ClosureSketches;
 use super::ground::Ground;
 use crate::{Evaluation, Input};
 
@@ -67,6 +68,7 @@ pub struct Sketches {
     pub(crate) returns: BTreeMap<usize, Vec<[f64; 2]>>,
     /// By site.
     pub(crate) grounds: BTreeMap<String, Ground>,
+    pub(crate) closures: ClosureSketches,
 }
 
 impl Sketches {
@@ -98,6 +100,7 @@ impl Sketches {
             pairs,
             returns: BTreeMap::new(),
             grounds: poses.into_iter().map(|(site, poses)| (site, Ground::new(&poses))).collect(),
+            closures: ClosureSketches::new(input.detection),
         }
     }
 
@@ -107,6 +110,7 @@ impl Sketches {
         if let Some(ground) = self.grounds.get_mut(&*k.site) {
             ground.add(&k.pose, scan);
         }
+        self.closures.add(input.detection, &k.id, scan);
         if self.wanted.contains(&keyframe) {
             let every = scan.len().div_ceil(MAX_RETURNS).max(1);
             self.returns.insert(keyframe, scan.points().step_by(every).collect());

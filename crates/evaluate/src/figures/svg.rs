@@ -82,6 +82,19 @@ pub(crate) fn polyline(points: impl Iterator<Item = (f64, f64)>) -> String {
     path
 }
 
+/// A line through points, without points closer than this to the last drawn one \[px\].
+pub(crate) fn thin_polyline(points: impl Iterator<Item = (f64, f64)>, min_step: f64) -> String {
+    let mut last: Option<(f64, f64)> = None;
+    polyline(points.filter(|&(x, y)| {
+        let is_near = |(a, b): (f64, f64)| (x - a).abs().max((y - b).abs()) < min_step;
+        let is_drawn = !last.is_some_and(is_near);
+        if is_drawn {
+            last = Some((x, y));
+        }
+        is_drawn
+    }))
+}
+
 /// The greatest value not above `target` that is 1, 2 or 5 times a power of ten.
 pub(crate) fn round_length(target: f64) -> f64 {
     let decade = libm::pow(10.0, libm::floor(libm::log10(target.max(1e-9))));

@@ -2,17 +2,22 @@
 
 use std::collections::BTreeMap;
 
+use dataset::{Keyframe, Losses, Note};
 use maud::{Markup, html};
 
 use super::{Fact, messages};
-use crate::Input;
 
 /// With more logs than this, their keyframes and digests are folded.
 const LOGS_SHOWN: usize = 10;
 
-pub(super) fn section(input: &Input<'_>, digests: &[Fact], options: &[Fact]) -> Markup {
+pub(super) fn section<'a>(
+    all: &[Keyframe],
+    losses: &Losses,
+    notes: impl Iterator<Item = &'a Note>,
+    (digests, options): (&[Fact], &[Fact]),
+) -> Markup {
     let mut keyframes: BTreeMap<&str, usize> = BTreeMap::new();
-    for keyframe in input.keyframes {
+    for keyframe in all {
         *keyframes.entry(&keyframe.id.log).or_default() += 1;
     }
     let inputs = html! {
@@ -28,7 +33,7 @@ pub(super) fn section(input: &Input<'_>, digests: &[Fact], options: &[Fact]) -> 
     html! {
         section {
             h2 { "Data and options" }
-            (messages::tables(input.losses, input.not_evaluated.iter().chain(input.notes)))
+            (messages::tables(losses, notes))
             h3 { "Inputs" }
             @if LOGS_SHOWN < keyframes.len() {
                 details { summary { (keyframes.len()) " logs" } (inputs) }

@@ -1,5 +1,6 @@
 //! `report.html`: one file that opens offline and needs no script.
 
+mod closures;
 mod cross_validation;
 mod data;
 mod features;
@@ -11,9 +12,11 @@ mod scans;
 mod spread;
 
 use dataset::tables::Provenance;
+use dataset::{Keyframe, Losses, Note};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::figures::{Figure, STYLE, Sketches};
+use crate::detection::{Drive, DriveMeasures};
+use crate::figures::{ClosureSketches, Figure, STYLE, Sketches};
 use crate::{Evaluation, Input};
 
 /// A row of the table of inputs and options at the end of the report.
@@ -34,6 +37,59 @@ pub fn report(
     (digests, options): (&[Fact], &[Fact]),
     provenance: &Provenance,
 ) -> String {
+    let notes = input.not_evaluated.iter().chain(input.notes);
+    let header = headline::headline(input, evaluation);
+    let main = html! {
+        (closures::section(input.detection, &evaluation.detection, &sketches.closures, figures))
+        (spread::section(input, evaluation))
+        (cross_validation::section(input, evaluation, figures))
+        (retrieval::section(input, figures))
+        (label_grid::section(input, figures))
+        (features::section(input, evaluation, figures))
+        (scans::pairs_section(input, sketches, figures))
+        (scans::maps_section(input, figures))
+        (data::section(input.keyframes, input.losses, notes, (digests, options)))
+    };
+    page(name, &header, &main, provenance)
+}
+
+/// What [`closure_report`] shows.
+#[derive(Debug, Clone, Copy)]
+pub struct ClosureReport<'a> {
+    /// The keyframes of all logs.
+    pub keyframes: &'a [Keyframe],
+    /// The drives.
+    pub drives: &'a [Drive<'a>],
+    /// The measures of each drive.
+    pub measures: &'a [DriveMeasures],
+    /// What the figures show of the scans.
+    pub sketches: &'a ClosureSketches,
+    /// The figures of [`crate::closure_figures`].
+    pub figures: &'a [Figure],
+    /// What the stages of the run left out.
+    pub losses: &'a Losses,
+    /// The notes of the stages of the run.
+    pub notes: &'a [Note],
+}
+
+/// The report of the loop closures of new logs as HTML: the section about closures of [`report`], warnings,
+/// and the data.
+pub fn closure_report(
+    name: &str,
+    of: &ClosureReport<'_>,
+    (digests, options): (&[Fact], &[Fact]),
+    provenance: &Provenance,
+) -> String {
+    let header = messages::warnings(of.losses, of.notes.iter());
+    let main = html! {
+        (closures::section(of.drives, of.measures, of.sketches, of.figures))
+        (data::section(of.keyframes, of.losses, of.notes.iter(), (digests, options)))
+    };
+    page(name, &header, &main, provenance)
+}
+
+/// A page with its style sheet.
+fn page(name: &str, header: &Markup, main: &Markup, provenance: &Provenance) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -50,18 +106,9 @@ pub fn report(
                 header {
                     p class="brand" { "loopboost report" }
                     h1 { (name) }
-                    (headline::headline(input, evaluation))
+                    (header)
                 }
-                main {
-                    (spread::section(input, evaluation))
-                    (cross_validation::section(input, evaluation, figures))
-                    (retrieval::section(input, figures))
-                    (label_grid::section(input, figures))
-                    (features::section(input, evaluation, figures))
-                    (scans::pairs_section(input, sketches, figures))
-                    (scans::maps_section(input, figures))
-                    (data::section(input, digests, options))
-                }
+                main { (main) }
                 footer {}
             }
         }

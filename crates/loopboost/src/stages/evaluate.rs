@@ -96,6 +96,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         seed: run.config.seed,
         losses: &losses,
         notes: &notes,
+        detection: &[],
     };
     let evaluation = evaluate::evaluate(&input);
     let mut sketches = Sketches::new(&input, &evaluation);
