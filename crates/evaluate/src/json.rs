@@ -1,8 +1,9 @@
 //! The numbers of the report as JSON.
 
-use dataset::{Label, Retrieval};
+use dataset::{Label, Losses, Note, Retrieval};
 use serde_json::{Value, json};
 
+use crate::detection::DriveMeasures;
 use crate::text::{PAPER_ERROR_BELOW, PAPER_ROUNDS};
 use crate::{Evaluation, Input};
 
@@ -55,6 +56,16 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
         "notes": input.notes,
         "paper": { "learners": ["discrete", "gentle"], "rounds": PAPER_ROUNDS, "error_below": PAPER_ERROR_BELOW },
     })
+}
+
+/// The numbers of [`crate::closure_report`].
+pub fn closure_json(
+    name: &str,
+    measures: &[DriveMeasures],
+    losses: &Losses,
+    notes: &[Note],
+) -> Value {
+    json!({ "name": name, "detection": measures, "losses": losses, "notes": notes })
 }
 
 fn retrieval(row: &Retrieval) -> Value {

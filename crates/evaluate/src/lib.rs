@@ -46,7 +46,7 @@ pub use bootstrap::{Estimate, MIN_GROUPS, Summary};
 pub use figures::{
     ClosureSketches, Figure, Sketches, closure_figures, figures, path_svg, write_figures,
 };
-pub use json::json;
+pub use json::{closure_json, json};
 pub use metrics::{
     Confusion, Measures, OperatingPoint, PrPoint, operating_points, precision_recall,
 };

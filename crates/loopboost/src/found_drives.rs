@@ -15,8 +15,6 @@ use evaluate::detection::{
     Drive, Evidence, FoundCandidate, FoundClosure, KeyframePoses, ScanPoses,
 };
 
-use optimize::Reason;
-
 use crate::drives::{PosedScan, posed_scans};
 use crate::logs::LogFile;
 use crate::run::Run;
@@ -96,32 +94,12 @@ impl FoundDrive {
     }
 
     /// The closures of the drive.
-    pub(crate) fn closures(&self) -> Vec<FoundClosure> {
-        let of_row =
-            |(JudgedClosure { closure, rejected }, [query, reference]): &(_, [usize; 2])| {
-                let found = found_candidate(closure, [*query, *reference]);
-                FoundClosure {
-                    query: *query,
-                    reference: *reference,
-                    reference_from_query: found.reference_from_query,
-                    covariance: closure.covariance,
-                    confidence: closure.confidence,
-                    rejected: rejected.as_deref().and_then(code_of_reason),
-                    evidence: Evidence {
-                        overlap: closure.overlap,
-                        known_overlap: closure.known_overlap,
-                        conflict: closure.conflict,
-                        margin: closure.margin,
-                        classifier: closure.classifier,
-                        is_degenerate: closure.is_degenerate,
-                    },
-                }
-            };
-        self.closures.iter().map(of_row).collect()
+    pub(crate) fn closures(&self) -> Vec<FoundClosure<'_>> {
+        self.closures.iter().map(found_closure).collect()
     }
 
     /// The drive with its closures, from [`Self::closures`].
-    pub(crate) fn drive<'a>(&'a self, closures: &'a [FoundClosure]) -> Drive<'a> {
+    pub(crate) fn drive<'a>(&'a self, closures: &'a [FoundClosure<'a>]) -> Drive<'a> {
         Drive {
             log: &self.log,
             segment: self.segment,
@@ -134,13 +112,6 @@ impl FoundDrive {
             base_from_lidar: Pose2::default(),
         }
     }
-}
-
-/// The code of a reason.
-fn code_of_reason(reason: &str) -> Option<&'static str> {
-    const ALL: [Reason; 4] =
-        [Reason::LowConfidence, Reason::Inconsistent, Reason::Unsupported, Reason::NotConfirmed];
-    ALL.into_iter().map(Reason::code).find(|code| *code == reason)
 }
 
 /// The keyframes of a drive, and the index of each.
@@ -190,6 +161,27 @@ fn scans(
             })
         })
         .collect()
+}
+
+fn found_closure((judged, keyframes): &(JudgedClosure, [usize; 2])) -> FoundClosure<'_> {
+    let closure = &judged.closure;
+    let found = found_candidate(closure, *keyframes);
+    FoundClosure {
+        query: found.query,
+        reference: found.reference,
+        reference_from_query: found.reference_from_query,
+        covariance: closure.covariance,
+        confidence: closure.confidence,
+        rejected: judged.rejected.as_deref(),
+        evidence: Evidence {
+            overlap: closure.overlap,
+            known_overlap: closure.known_overlap,
+            conflict: closure.conflict,
+            margin: closure.margin,
+            classifier: closure.classifier,
+            is_degenerate: closure.is_degenerate,
+        },
+    }
 }
 
 fn found_candidate(closure: &ScanClosure, [query, reference]: [usize; 2]) -> FoundCandidate {

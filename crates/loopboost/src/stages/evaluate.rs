@@ -8,8 +8,8 @@ use dataset::tables::{
     read_pairs, read_retrieval, read_rounds, read_scores, write_file,
 };
 use dataset::{Keyframe, Note, Scan};
-use evaluate::detection;
-use evaluate::{Evaluation, Fact, Input, Sketches};
+use evaluate::detection::{self, Drive};
+use evaluate::{ClosureReport, ClosureSketches, Evaluation, Fact, Input, Sketches};
 
 use crate::config::Config;
 use crate::findings::Findings;
@@ -29,29 +29,49 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
         });
     }
     run.task(&task, |provenance| {
-        let mut done = Done::default();
-        if run.goal.detects() {
-            done = closures(run, &provenance)?;
+        let found = match run.goal.detects() {
+            true => FoundDrive::load_all(run)?,
+            false => Vec::new(),
+        };
+        let closures: Vec<_> = found.iter().map(FoundDrive::closures).collect();
+        let drives: Vec<_> =
+            found.iter().zip(&closures).map(|(found, closures)| found.drive(closures)).collect();
+        match run.goal.trains() {
+            true => evaluate(run, &provenance, &drives),
+            false => evaluate_closures(run, &provenance, &drives),
         }
-        if run.goal.trains() {
-            let of_scores = evaluate(run, &provenance)?;
-            done.outputs.extend(of_scores.outputs);
-            done.summaries.extend(of_scores.summaries);
-        }
-        Ok(done)
     })
 }
 
-/// The measures of loop closures and trajectories.
-fn closures(run: &Run, provenance: &Provenance) -> Result<Done> {
-    let found = FoundDrive::load_all(run)?;
-    let closures: Vec<_> = found.iter().map(FoundDrive::closures).collect();
-    let drives: Vec<_> =
-        found.iter().zip(&closures).map(|(found, closures)| found.drive(closures)).collect();
+/// Measures and reports the loop closures of new logs.
+fn evaluate_closures(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -> Result<Done> {
+    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
     let measures: Vec<_> = drives.iter().map(detection::measure).collect();
+    let mut sketches = ClosureSketches::new(drives);
+    each_scan(run, &keyframes, |k, scan| sketches.add(drives, &keyframes[k].id, scan))?;
+    let figures = evaluate::closure_figures(drives, &measures, &sketches);
+    let Findings { losses, notes } = run.findings_before(Stage::Evaluate)?;
+
     let folder = run.path("evaluation");
-    let outputs = detection::write_detection(&folder, provenance, &drives, &measures)?;
-    Ok(Done { outputs, ..Done::default() })
+    let mut outputs = detection::write_detection(&folder, provenance, drives, &measures)?;
+    outputs.extend(evaluate::write_figures(&folder.join("figures"), &figures)?);
+    let name = &run.config.name;
+    let json = evaluate::closure_json(name, &measures, &losses, &notes);
+    outputs.push(write_json(run, &json)?);
+    let closures = ClosureReport {
+        keyframes: &keyframes,
+        drives,
+        measures: &measures,
+        sketches: &sketches,
+        figures: &figures,
+        losses: &losses,
+        notes: &notes,
+    };
+    let (digests, options) = (digests_of_logs(run)?, options(&run.config)?);
+    let html = evaluate::closure_report(name, &closures, (&digests, &options), provenance);
+    outputs.push(write_report(run, &html)?);
+    let written = Summary::Written { file: Artifact::Report.pattern().to_owned() };
+    Ok(Done { outputs, summaries: vec![written], ..Done::default() })
 }
 
 /// As [`run`], and then prints the numbers.
@@ -64,7 +84,7 @@ pub(crate) fn run_and_print(run: &Run) -> Result<Findings> {
     Ok(findings)
 }
 
-fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
+fn evaluate(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -> Result<Done> {
     let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
     let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
     let (features, _) = read_features(&run.path_of(Artifact::Features))?;
@@ -96,7 +116,7 @@ fn evaluate(run: &Run, provenance: &Provenance) -> Result<Done> {
         seed: run.config.seed,
         losses: &losses,
         notes: &notes,
-        detection: &[],
+        detection: drives,
     };
     let evaluation = evaluate::evaluate(&input);
     let mut sketches = Sketches::new(&input, &evaluation);
@@ -157,16 +177,25 @@ fn write(
     let figures = evaluate::figures(input, evaluation, sketches);
     outputs.extend(evaluate::write_figures(&folder.join("figures"), &figures)?);
 
-    let json = serde_json::to_string_pretty(&evaluate::json(name, input, evaluation))?;
-    write_file(&run.path_of(Artifact::Summary), format!("{json}\n").as_bytes())?;
-    outputs.push(run.path_of(Artifact::Summary));
+    outputs.push(write_json(run, &evaluate::json(name, input, evaluation))?);
 
     let drawn = (sketches, &figures[..]);
     let html = evaluate::report(name, input, evaluation, drawn, facts, provenance);
+    outputs.push(write_report(run, &html)?);
+    Ok(outputs)
+}
+
+/// Writes the numbers of the report.
+fn write_json(run: &Run, json: &serde_json::Value) -> Result<PathBuf> {
+    let path = run.path_of(Artifact::Summary);
+    write_file(&path, format!("{}\n", serde_json::to_string_pretty(json)?).as_bytes())?;
+    Ok(path)
+}
+
+fn write_report(run: &Run, html: &str) -> Result<PathBuf> {
     let path = run.path_of(Artifact::Report);
     write_file(&path, html.as_bytes())?;
-    outputs.push(path);
-    Ok(outputs)
+    Ok(path)
 }
 
 /// The error of each learner and grouping: after few rounds and after the last one, or the only
