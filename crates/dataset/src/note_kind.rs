@@ -335,6 +335,16 @@ codes! {
             n_closures: u64,
         } => "{} rejected, because the scans confirm too few of the places that they predict to be the same (`unsupported` in closures.parquet)", count(*n_closures, "closure");
 
+        /// A part of the detector was not fitted.
+        Warning "detector_part_not_fitted" DetectorPartNotFitted {
+            /// The part, by its name in `model.json`.
+            part: String,
+            /// What the logs contain.
+            found: String,
+            /// What the fit needs.
+            expected: String,
+        } => "`detector.{part}` of the models keeps its starting values: the logs have {found}, expected {expected}; add logs with ground truth and revisits (`evaluate.truth`)";
+
         // Velodyne packets.
 
         /// Packets come from more than one sensor.

@@ -5,6 +5,7 @@
 //! | What does each learner learn from all pairs? | [`fit`] |
 //! | How often is it wrong on ground, scans or logs not seen in training? | [`cross_validate`] |
 //! | How well does it find the positives among all pairs of a log? | [`retrieval`] |
+//! | How confident is it of given pairs that it was not trained on? | [`held_out_confidences`] |
 //! | How does the error change with the label rules? | [`label_grid`] |
 //! | Which features are useful? | [`feature_usefulness`] |
 //! | Which models are saved, with which evidence? | [`models`] |
@@ -44,6 +45,7 @@ mod cross_validation;
 mod differences;
 mod error;
 mod fit;
+mod held_out;
 mod label_grid;
 mod models;
 mod options;
@@ -58,6 +60,7 @@ pub use cross_validation::{CrossValidation, GroupingResult, LearnerResult, cross
 pub use differences::differences;
 pub use error::{ExperimentError, NotEvaluated};
 pub use fit::{Fitted, boosting_rounds, fit};
+pub use held_out::held_out_confidences;
 pub use label_grid::label_grid;
 pub use models::{ModelContext, models, scan_spec};
 pub use options::{GridOptions, Options};

@@ -67,7 +67,7 @@ fn n_pairs(logs: &[Vec<usize>]) -> u64 {
 }
 
 /// The grouping that the report puts first, of those that hold out scans.
-fn strictest(validation: &CrossValidation) -> Option<&GroupingResult> {
+pub(crate) fn strictest(validation: &CrossValidation) -> Option<&GroupingResult> {
     let find = |wanted| validation.groupings.iter().find(|result| result.grouping == wanted);
     [Grouping::Place, Grouping::Log, Grouping::Scan].into_iter().find_map(find)
 }
@@ -85,14 +85,14 @@ fn by_log(keyframes: &[Keyframe]) -> Vec<Vec<usize>> {
 }
 
 /// One fit for each two folds; `None` if the remaining pairs lack a class.
-struct Fits {
+pub(crate) struct Fits {
     n_folds: usize,
     fits: Vec<Option<FoldFit>>,
 }
 
 impl Fits {
     /// Takes the fits of the cross-validation, and fits those that no labelled pair needed.
-    fn new(
+    pub(crate) fn new(
         setup: &Setup<'_>,
         data: &Data<'_>,
         result: &GroupingResult,
@@ -126,7 +126,7 @@ impl Fits {
         Ok(Self { n_folds: n_folds as usize, fits })
     }
 
-    fn holding_out(&self, a: u32, b: u32) -> Option<&FoldFit> {
+    pub(crate) fn holding_out(&self, a: u32, b: u32) -> Option<&FoldFit> {
         self.fits[a.min(b) as usize * self.n_folds + a.max(b) as usize].as_ref()
     }
 }

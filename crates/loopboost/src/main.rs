@@ -15,6 +15,8 @@ macro_rules! out {
 mod cli;
 mod config;
 mod detection;
+#[cfg(test)]
+mod detector_evidence;
 mod disagreement;
 mod drives;
 mod findings;
