@@ -2,10 +2,11 @@
 
 use std::collections::HashMap;
 
-use dataset::{CandidateClosure, Pose2, RegisteredScan, ScanClosure, StampedPose, Trajectory};
-use model::{Detector, Evidence};
-use nalgebra::Matrix3;
+use dataset::{CandidateClosure, Pose2, RegisteredScan, StampedPose, Trajectory};
+use model::Detector;
 use train::detector::{FoundCandidate, KnownPose, LogEvidence, alignment_covariance};
+
+use crate::drives::{evidence, matrix};
 
 /// Between two true poses at most this far apart, the truth is interpolated \[ns\]. `evaluate` uses the
 /// same limit.
@@ -99,8 +100,7 @@ impl<'a> Registered<'a> {
         let rows = self.tables.registered;
         let after = self.by_stamp.partition_point(|&k| rows[k].stamp_ns <= stamp_ns);
         let row = &rows[self.by_stamp[after.checked_sub(1)?]];
-        let odometry =
-            self.tables.odometry.stamped_pose_at(stamp_ns, MAX_INTERPOLATION_NS).ok()?;
+        let odometry = self.tables.odometry.stamped_pose_at(stamp_ns, MAX_INTERPOLATION_NS).ok()?;
         let step = row.odometry.inverse() * odometry.pose;
         let step_m = step.distance_m(&Pose2::default());
         (odometry.segment == row.segment && step_m <= MAX_CARRY_M).then(|| Posed {
@@ -120,8 +120,7 @@ impl<'a> Registered<'a> {
             let of_piece = [posed.segment, truth.segment, truth.frame];
             let is_new = last != Some(of_piece);
             let piece = known.last().map_or(0, |last| last.piece + u32::from(is_new));
-            let is_close =
-                |last: &KnownPose| !is_new && posed.path_m < last.path_m + SPACING_M;
+            let is_close = |last: &KnownPose| !is_new && posed.path_m < last.path_m + SPACING_M;
             if known.last().is_some_and(is_close) {
                 continue;
             }
@@ -159,19 +158,10 @@ impl<'a> Registered<'a> {
     }
 }
 
-fn evidence(closure: &ScanClosure) -> Evidence {
-    let ScanClosure { overlap, known_overlap, n_known, conflict, margin, weakness, .. } = *closure;
-    let classifier = closure.classifier;
-    Evidence { overlap, known_overlap, n_known, conflict, margin, weakness, classifier }
-}
-
-fn matrix([xx, xy, xh, yy, yh, hh]: [f64; 6]) -> Matrix3<f64> {
-    Matrix3::new(xx, xy, xh, xy, yy, yh, xh, yh, hh)
-}
-
 #[cfg(test)]
 mod tests {
-    use dataset::ScanId;
+    use dataset::{ScanClosure, ScanId};
+    use nalgebra::Matrix3;
 
     use super::*;
 
@@ -204,8 +194,7 @@ mod tests {
                 travel_m: 1.1 * x_m,
             }
         });
-        let odometry =
-            (0..1000i64).map(|k| (k * SECOND / 10, at(0.11 * k as f64, 0.0, 0.0)));
+        let odometry = (0..1000i64).map(|k| (k * SECOND / 10, at(0.11 * k as f64, 0.0, 0.0)));
         (rows.collect(), trajectory(odometry))
     }
 
@@ -277,7 +266,9 @@ mod tests {
     /// farther, 0.66 m by odometry; scan 306 is 1.32 m by odometry, which is too far.
     #[test]
     fn sparse_truth_is_carried_over_less_than_a_metre() {
-        let truth = trajectory([(20 * SECOND, at(0.0, 0.0, 0.0)), (60 * SECOND, at(0.0, 40.0, 0.0))].into_iter());
+        let truth = trajectory(
+            [(20 * SECOND, at(0.0, 0.0, 0.0)), (60 * SECOND, at(0.0, 40.0, 0.0))].into_iter(),
+        );
         let candidates = [candidate(300, 100), candidate(303, 100), candidate(306, 100)];
         let found = evidence_with(&truth, &candidates);
         assert!(is_near(found.candidates[0].truth.unwrap(), at(0.0, 40.0, 0.0)));

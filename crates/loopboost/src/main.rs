@@ -15,11 +15,11 @@ macro_rules! out {
 mod cli;
 mod config;
 mod detection;
-#[cfg(test)]
 mod detector_evidence;
 mod disagreement;
 mod drives;
 mod findings;
+mod fit_detector;
 mod found_drives;
 mod goal;
 mod import;

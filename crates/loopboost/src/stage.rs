@@ -146,6 +146,7 @@ impl Stage {
                     A::Pairs,
                     A::Features,
                     A::FeatureStability,
+                    A::Poses,
                     A::Registered,
                     A::Candidates,
                     A::Truth,

@@ -9,6 +9,7 @@ use experiment::{Data, ModelContext, NotEvaluated, Setup};
 use model::{FeatureSpec, Model, Training};
 
 use crate::findings::Findings;
+use crate::fit_detector::fit_detectors;
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
 use crate::summary::{GroupingError, Summary};
@@ -18,7 +19,14 @@ const TRAINING_TABLES: [Artifact; 3] = [Artifact::Keyframes, Artifact::Pairs, Ar
 
 /// Pairs, features -> models/, scores, rounds, retrieval, grid and feature_usefulness.parquet
 pub(crate) fn run(run: &Run) -> Result<Findings> {
-    run.task(&run.task_of(Stage::Train)?, |provenance| train(run, &provenance))
+    let mut task = run.task_of(Stage::Train)?;
+    if !run.goal.detects() {
+        // Only the detector needs poses between keyframes.
+        for log in run.ingested_logs()? {
+            task.inputs.retain(|input| *input != run.poses(&log.name));
+        }
+    }
+    run.task(&task, |provenance| train(run, &provenance))
 }
 
 fn train(run: &Run, provenance: &Provenance) -> Result<Done> {
@@ -48,7 +56,8 @@ fn train(run: &Run, provenance: &Provenance) -> Result<Done> {
     let rounds = experiment::boosting_rounds(&fitted, &validation, &features.names);
     let usefulness = experiment::feature_usefulness(&data, &stability, &rounds);
     let context = model_context(run, &keyframes, &pairs, provenance)?;
-    let models = experiment::models(&context, &fitted, &validation, differences.labels());
+    let mut models = experiment::models(&context, &fitted, &validation, differences.labels());
+    let of_detectors = fit_detectors(run, &setup, &data, &validation, &mut models)?;
 
     let mut notes: Vec<Note> = validation.not_evaluated.iter().map(NotEvaluated::note).collect();
     let of_scores = Provenance { notes: notes.clone(), ..provenance.clone() };
@@ -60,6 +69,7 @@ fn train(run: &Run, provenance: &Provenance) -> Result<Done> {
     write_feature_usefulness(&run.path_of(Artifact::FeatureUsefulness), provenance, &usefulness)?;
 
     notes.extend(experiment::few_matches(&data, &retrieval));
+    notes.extend(of_detectors);
     let outputs = Stage::Train.spec().outputs.iter().map(|&artifact| run.path_of(artifact));
     let mut done = Done { outputs: outputs.collect(), notes, ..Done::default() };
     for model in &models {
