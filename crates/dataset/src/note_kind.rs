@@ -326,6 +326,17 @@ codes! {
             /// Angle covered by the scans of the log \[deg\].
             found_deg: f64,
         } => "closures are searched without the classifier of the model `{model}`: it was trained on scans that cover {trained_deg:.0} deg or more, and those of the log cover {found_deg:.0} deg; train a model on scans of this kind";
+        /// The model was trained on scans with other range limits.
+        Warning "other_ranges" OtherRanges {
+            /// Nearest return of the training scans \[m\].
+            trained_min_m: f64,
+            /// Farthest return of the training scans \[m\].
+            trained_max_m: f64,
+            /// Nearest return of the scans \[m\].
+            min_m: f64,
+            /// Farthest return of the scans \[m\].
+            max_m: f64,
+        } => "the classifier was trained on scans with ranges from {trained_min_m} to {trained_max_m} m, and these have {min_m} to {max_m} m: its confidences may be wrong; set `ingest.lidar.range_min_m` and `range_max_m` as in training";
         /// Loop detection has no ground truth to learn from.
         Warning "detector_not_trained" DetectorNotTrained
             => "closures are searched with the starting values of the detector, because the pipeline names no ground truth to fit it to: set `evaluate.truth`, or use `loopboost detect --model` with a trained model";

@@ -10,6 +10,7 @@ use crate::findings::{Failure, Findings};
 use crate::import::ImportArgs;
 use crate::inspect::InspectArgs;
 use crate::run::{Mode, Run};
+use crate::score::ScoreArgs;
 use crate::stage::Stage;
 use crate::used_model::UsedModel;
 use crate::{inspect, lineage, models, pipeline, stages};
@@ -50,6 +51,8 @@ enum Command {
     Inspect(InspectArgs),
     /// Convert a recording of another format to an MCAP log
     Import(ImportArgs),
+    /// Score pairs of scans with a model: confidence and label
+    Score(ScoreArgs),
     /// Show the inputs of an artifact, back to the logs
     Lineage {
         /// A table, a model.json or a report.html
@@ -254,6 +257,7 @@ impl Command {
             Self::Run { .. } | Self::Stage(_) => Ok(Findings::default()),
             Self::Inspect(args) => inspect::inspect(&args),
             Self::Import(args) => args.execute(),
+            Self::Score(args) => args.execute(),
             Self::Lineage { artifact } => done(lineage::lineage(&artifact)),
             Self::Log { .. } => Err(usage("`loopboost log` was renamed: use `loopboost lineage`")),
             Self::Verify { folder, pipeline } => {

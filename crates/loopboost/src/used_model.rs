@@ -36,22 +36,9 @@ impl UsedModel {
 
     /// The features of the model replace those of the pipeline.
     pub(crate) fn set_features(&self, config: &mut Config) -> Result<()> {
-        let spec = &self.model.features;
-        let set = FeatureSet::ALL
-            .into_iter()
-            .find(|set| set.name() == spec.set)
-            .filter(|set| set.version() == spec.version && set.feature_names() == spec.names);
-        config.featurize.set = set.ok_or_else(|| {
-            let known = FeatureSet::ALL.map(|set| format!("`{}` v{}", set.name(), set.version()));
-            anyhow!(
-                "{} needs the features `{}` v{}, expected {}; train the model again, or set `detect.classifier = false`",
-                self.path.display(),
-                spec.set,
-                spec.version,
-                known.join(" or ")
-            )
+        config.featurize = featurize_options(&self.model).with_context(|| {
+            format!("{}; `detect.classifier = false` does without", self.path.display())
         })?;
-        config.featurize.gate_m = spec.gate_m;
         Ok(())
     }
 
@@ -60,4 +47,23 @@ impl UsedModel {
         let Model { name, version, .. } = &self.model;
         json!({ "name": name, "version": version, "digest": self.digest })
     }
+}
+
+/// The features that a model needs.
+pub(crate) fn featurize_options(model: &Model) -> Result<featurize::Options> {
+    let spec = &model.features;
+    let is_known = |set: &FeatureSet| {
+        set.name() == spec.set && set.version() == spec.version && set.feature_names() == spec.names
+    };
+    let set = FeatureSet::ALL.into_iter().find(is_known).ok_or_else(|| {
+        let known = FeatureSet::ALL.map(|set| format!("`{}` v{}", set.name(), set.version()));
+        anyhow!(
+            "the model `{}` needs the features `{}` v{}, expected {}; train it again",
+            model.name,
+            spec.set,
+            spec.version,
+            known.join(" or ")
+        )
+    })?;
+    Ok(featurize::Options { set, gate_m: spec.gate_m })
 }

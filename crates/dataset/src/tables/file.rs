@@ -161,7 +161,7 @@ pub(super) fn unreadable(
     TableError::Unreadable { path: path.to_owned(), source: source.into() }
 }
 
-fn read_error(path: &Path, source: std::io::Error) -> TableError {
+pub(super) fn read_error(path: &Path, source: std::io::Error) -> TableError {
     let path = path.to_owned();
     match source.kind() {
         std::io::ErrorKind::NotFound => TableError::Missing { path },

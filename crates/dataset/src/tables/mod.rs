@@ -32,6 +32,7 @@ mod evidence;
 mod file;
 mod provenance;
 mod registered;
+mod scan_pairs;
 pub mod scans;
 mod scores;
 mod types;
@@ -51,6 +52,7 @@ pub use registered::{
     read_odometry, read_registered, read_trajectory, write_odometry, write_registered,
     write_trajectory,
 };
+pub use scan_pairs::{PairScore, SCAN_PAIR_COLUMNS, read_scan_pairs, write_pair_scores};
 pub use scores::{read_rounds, read_scores, write_rounds, write_scores};
 pub use types::{
     FeatureTable, batch, floats, read_features, read_keyframes, read_pairs, read_poses, strings,

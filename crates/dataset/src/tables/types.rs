@@ -324,10 +324,10 @@ pub(super) fn scan_ids(columns: &Columns<'_>, log: &str, scan: &str) -> Result<V
 
 /// Stores each distinct name once and shares the allocation.
 #[derive(Default)]
-struct Names(BTreeSet<Arc<str>>);
+pub(super) struct Names(BTreeSet<Arc<str>>);
 
 impl Names {
-    fn intern(&mut self, name: &str) -> Arc<str> {
+    pub(super) fn intern(&mut self, name: &str) -> Arc<str> {
         if let Some(known) = self.0.get(name) {
             return known.clone();
         }

@@ -14,6 +14,7 @@ use evaluate::{ClosureReport, ClosureSketches, Evaluation, Fact, Input, Sketches
 use crate::config::Config;
 use crate::findings::Findings;
 use crate::found_drives::FoundDrive;
+use crate::labelled::{features_of, labelled_keyframes};
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
 use crate::summary::{RoundsError, Summary};
@@ -22,11 +23,9 @@ use crate::summary::{RoundsError, Summary};
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut task = run.task_of(Stage::Evaluate)?;
     if !run.goal.detects() {
-        // Only loop detection is compared with the ground truth and the poses.
-        task.inputs.retain(|input| {
-            let name = input.parent().and_then(|folder| folder.file_name());
-            !name.is_some_and(|name| name == "poses" || name == "truth")
-        });
+        // Only trajectories are compared with the odometry at every scan.
+        let folder = run.path("poses");
+        task.inputs.retain(|input| !input.starts_with(&folder));
     }
     run.task(&task, |provenance| {
         let found = match run.goal.detects() {
@@ -85,9 +84,10 @@ pub(crate) fn run_and_print(run: &Run) -> Result<Findings> {
 }
 
 fn evaluate(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -> Result<Done> {
-    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
+    let (keyframes, _) = labelled_keyframes(run)?;
     let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
     let (features, _) = read_features(&run.path_of(Artifact::Features))?;
+    let features = features_of(features, &keyframes);
     let (scores, of_scores) = read_scores(&run.path_of(Artifact::Scores), &pairs)?;
     let not_evaluated: Vec<Note> = of_scores.notes;
     let (rounds, _) = read_rounds(&run.path_of(Artifact::Rounds))?;

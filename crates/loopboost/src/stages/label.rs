@@ -1,20 +1,22 @@
 use anyhow::Result;
-use dataset::tables::{Provenance, read_keyframes, write_pairs};
+use dataset::tables::{Provenance, write_pairs};
 
 use crate::findings::Findings;
+use crate::labelled::labelled_keyframes;
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 
-/// Keyframes -> pairs.parquet
+/// Keyframes, ground truth -> pairs.parquet
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     run.task(&run.task_of(Stage::Label)?, |provenance| label(run, &provenance))
 }
 
 fn label(run: &Run, provenance: &Provenance) -> Result<Done> {
-    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
+    let (keyframes, mut notes) = labelled_keyframes(run)?;
     let labelled = label::label(&run.config.label, run.config.seed, &keyframes)?;
-    let label::Labelled { pairs, candidates, notes } = labelled;
+    let label::Labelled { pairs, candidates, notes: of_pairs } = labelled;
+    notes.extend(of_pairs);
     let path = run.path_of(Artifact::Pairs);
     let provenance = Provenance { notes: notes.clone(), ..provenance.clone() };
     write_pairs(&path, &provenance, &keyframes, &pairs)?;
