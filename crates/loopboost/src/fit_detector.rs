@@ -48,15 +48,15 @@ pub(crate) fn fit_detectors(
     Ok(notes)
 }
 
-/// The evidence of a log, and the two keyframes of each of its candidates.
+/// The evidence of a log, and the two keyframes of each of its candidates. `None` if the true pose of
+/// one of them is not known: the classifier has no fold for it.
 struct Log {
     evidence: LogEvidence,
-    pairs: Vec<[usize; 2]>,
+    pairs: Vec<Option<[usize; 2]>>,
 }
 
 fn evidence_of_logs(run: &Run, data: &Data<'_>) -> Result<Vec<Log>> {
-    let path = run.path_of(Artifact::Candidates);
-    let (candidates, _) = read_candidates(&path)?;
+    let (candidates, _) = read_candidates(&run.path_of(Artifact::Candidates))?;
     let keyframes: HashMap<&ScanId, usize> =
         data.keyframes.iter().map(|keyframe| &keyframe.id).zip(0..).collect();
     let mut logs = Vec::new();
@@ -68,13 +68,7 @@ fn evidence_of_logs(run: &Run, data: &Data<'_>) -> Result<Vec<Log>> {
             let [query, reference] = ids.map(|id| keyframes.get(id).copied());
             query.zip(reference).map(|(query, reference)| [query, reference])
         };
-        let pairs: Option<Vec<[usize; 2]>> = of_log.iter().map(pair).collect();
-        let pairs = pairs.ok_or_else(|| {
-            anyhow!(
-                "{} has scans that are not in keyframes.parquet; find the candidates again with `loopboost detect PIPELINE.toml --out DIR`",
-                path.display()
-            )
-        })?;
+        let pairs = of_log.iter().map(pair).collect();
         let (registered, _) = read_registered(&run.path_of_log(Artifact::Registered, &log.name))?;
         let (odometry, _) = read_poses(&run.poses(&log.name))?;
         let (truth, _) = read_poses(&run.path_of_log(Artifact::Truth, &log.name))?;
@@ -95,11 +89,13 @@ fn with_confidences(
     logs: &[Log],
     confidences: impl Fn(&[[usize; 2]]) -> Result<Vec<Option<f64>>>,
 ) -> Result<Vec<LogEvidence>> {
-    let pairs: Vec<[usize; 2]> = logs.iter().flat_map(|log| log.pairs.iter().copied()).collect();
-    let mut confidences = confidences(&pairs)?.into_iter();
+    let pairs = || logs.iter().flat_map(|log| log.pairs.iter().copied());
+    let known: Vec<[usize; 2]> = pairs().flatten().collect();
+    let mut confidences = confidences(&known)?.into_iter();
     let mut evidence: Vec<LogEvidence> = logs.iter().map(|log| log.evidence.clone()).collect();
-    for found in evidence.iter_mut().flat_map(|log| &mut log.candidates) {
-        found.evidence.classifier = confidences.next().flatten();
+    let candidates = evidence.iter_mut().flat_map(|log| &mut log.candidates);
+    for (found, pair) in candidates.zip(pairs()) {
+        found.evidence.classifier = pair.and_then(|_| confidences.next().flatten());
     }
     Ok(evidence)
 }

@@ -25,7 +25,8 @@ pub(crate) fn labelled_keyframes(run: &Run) -> Result<(Vec<Keyframe>, Vec<Note>)
         let log: &Arc<str> = &of_log[0].id.log;
         let (truth, _) = read_poses(&run.path_of_log(Artifact::Truth, log))?;
         let before = labelled.len();
-        labelled.extend(of_log.iter().filter_map(|keyframe| at_truth(keyframe, &truth, max_gap_ns)));
+        labelled
+            .extend(of_log.iter().filter_map(|keyframe| at_truth(keyframe, &truth, max_gap_ns)));
         let (n_all, n_known) = (of_log.len() as u64, (labelled.len() - before) as u64);
         if n_known < n_all {
             let kind = NoteKind::KeyframesWithoutTruth { n_keyframes: n_all - n_known, n_all };
@@ -88,9 +89,8 @@ mod tests {
     /// of 200, and the one at 400 is after the last.
     #[test]
     fn a_keyframe_has_its_true_pose_or_is_left_out() {
-        let at = |stamp_ns, x_m| {
-            StampedPose::new(stamp_ns, Pose2 { x_m, y_m: 0.0, heading_rad: 0.0 })
-        };
+        let at =
+            |stamp_ns, x_m| StampedPose::new(stamp_ns, Pose2 { x_m, y_m: 0.0, heading_rad: 0.0 });
         let (truth, _) = Trajectory::new(vec![at(0, 0.0), at(100, 4.0), at(300, 8.0)]);
         let with = |stamp_ns| {
             let keyframe = Keyframe { stamp_ns, ..keyframe(1) };

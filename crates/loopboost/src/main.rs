@@ -34,6 +34,7 @@ mod plot;
 mod pose_choice;
 mod run;
 mod score;
+mod scorer;
 mod site_frames;
 mod stage;
 mod stages;

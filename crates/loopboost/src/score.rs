@@ -9,7 +9,7 @@ use dataset::tables::scans::{read_scan_headers, read_scans};
 use dataset::tables::{
     PairScore, Provenance, SCAN_PAIR_COLUMNS, digest_file, read_scan_pairs, write_pair_scores,
 };
-use dataset::{Loss, LossKind, NoteKind, Scan, ScanId, Subject};
+use dataset::{Loss, LossKind, Note, Scan, ScanId, Subject};
 use featurize::Featurizer;
 use model::{Model, OperatingPoint};
 use rayon::prelude::*;
@@ -17,6 +17,7 @@ use serde_json::json;
 
 use crate::config::usage;
 use crate::findings::Findings;
+use crate::scorer::other_ranges;
 use crate::stage::Artifact;
 use crate::used_model::featurize_options;
 
@@ -110,8 +111,11 @@ impl ScoreArgs {
         let Some(name) = &self.point else { return Ok(self.threshold.unwrap_or(0.0)) };
         let points = model.operating_points.iter().filter(|point| point.name == *name);
         points.map(|point| point.threshold).max_by(f64::total_cmp).ok_or_else(|| {
-            let known: BTreeSet<String> =
-                model.operating_points.iter().map(|OperatingPoint { name, .. }| format!("`{name}`")).collect();
+            let known: BTreeSet<String> = model
+                .operating_points
+                .iter()
+                .map(|OperatingPoint { name, .. }| format!("`{name}`"))
+                .collect();
             let known: Vec<String> = known.into_iter().collect();
             usage(format!(
                 "--point: the model `{}` has no operating point `{name}`, expected {}",
@@ -150,17 +154,11 @@ impl ScoreArgs {
 fn check_ranges(model: &Model, log: &str, table: &Path, findings: &mut Findings) -> Result<()> {
     let (_, made) = read_scan_headers(table)?;
     let limit = |key: &str| made.options["lidar"][key].as_f64();
-    let Some((min_m, max_m)) = limit("range_min_m").zip(limit("range_max_m")) else { return Ok(()) };
-    let spec = &model.scans;
-    if (min_m, max_m) != (spec.range_min_m, spec.range_max_m) {
-        let kind = NoteKind::OtherRanges {
-            trained_min_m: spec.range_min_m,
-            trained_max_m: spec.range_max_m,
-            min_m,
-            max_m,
-        };
-        findings.notes.push(dataset::Note::new(kind, Subject::log(log)));
-    }
+    let Some((min_m, max_m)) = limit("range_min_m").zip(limit("range_max_m")) else {
+        return Ok(());
+    };
+    let kind = other_ranges(model, min_m, max_m);
+    findings.notes.extend(kind.map(|kind| Note::new(kind, Subject::log(log))));
     Ok(())
 }
 
@@ -228,7 +226,10 @@ fn parse_csv(text: &str) -> Result<Vec<[ScanId; 2]>> {
     let header = cells(header);
     let column = |name: &str| {
         header.iter().position(|cell| cell == name).ok_or_else(|| {
-            anyhow!("no column `{name}` in the first line, expected {}", SCAN_PAIR_COLUMNS.join(", "))
+            anyhow!(
+                "no column `{name}` in the first line, expected {}",
+                SCAN_PAIR_COLUMNS.join(", ")
+            )
         })
     };
     let [query_log, query_scan, reference_log, reference_scan] = SCAN_PAIR_COLUMNS;

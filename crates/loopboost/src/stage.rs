@@ -157,7 +157,14 @@ impl Stage {
             Self::Optimize => Spec {
                 name: "optimize",
                 help: "Choose closures: candidates -> closures.parquet, trajectory/LOG.tum, ...",
-                inputs: &[A::Registered, A::Candidates, A::Scans, A::Poses],
+                inputs: &[
+                    A::Registered,
+                    A::Candidates,
+                    A::Scans,
+                    A::Poses,
+                    A::Keyframes,
+                    A::Features,
+                ],
                 outputs: &[
                     A::Closures,
                     A::Trajectory,

@@ -80,14 +80,23 @@ fn scan_numbers(columns: &Columns<'_>, name: &str) -> Result<Vec<u32>> {
         return Err(columns.error(name, "no nulls", format!("{} nulls", column.null_count())));
     }
     let numbers: Vec<i128> = match column.data_type() {
-        DataType::UInt32 => column.as_primitive::<UInt32Type>().values().iter().map(|&n| n.into()).collect(),
-        DataType::UInt64 => column.as_primitive::<UInt64Type>().values().iter().map(|&n| n.into()).collect(),
-        DataType::Int32 => column.as_primitive::<Int32Type>().values().iter().map(|&n| n.into()).collect(),
-        DataType::Int64 => column.as_primitive::<Int64Type>().values().iter().map(|&n| n.into()).collect(),
+        DataType::UInt32 => {
+            column.as_primitive::<UInt32Type>().values().iter().map(|&n| n.into()).collect()
+        }
+        DataType::UInt64 => {
+            column.as_primitive::<UInt64Type>().values().iter().map(|&n| n.into()).collect()
+        }
+        DataType::Int32 => {
+            column.as_primitive::<Int32Type>().values().iter().map(|&n| n.into()).collect()
+        }
+        DataType::Int64 => {
+            column.as_primitive::<Int64Type>().values().iter().map(|&n| n.into()).collect()
+        }
         other => return Err(columns.error(name, "an integer column", other.to_string())),
     };
     let number = |n: i128| {
-        u32::try_from(n).map_err(|_| columns.error(name, "numbers of scans, 0 or more", n.to_string()))
+        u32::try_from(n)
+            .map_err(|_| columns.error(name, "numbers of scans, 0 or more", n.to_string()))
     };
     numbers.into_iter().map(number).collect()
 }

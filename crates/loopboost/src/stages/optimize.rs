@@ -9,7 +9,7 @@ use dataset::{
     CandidateClosure, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan, Scan,
     StampedPose, Subject, Trajectory,
 };
-use model::Detector;
+use model::{Detector, Model};
 use optimize::{Edge, Proposal, Reason, Solution, align_every_scan, close_loops};
 use register::OdometryScan;
 
@@ -20,6 +20,7 @@ use crate::drives::{
 use crate::findings::Findings;
 use crate::logs::LogFile;
 use crate::run::{Done, Run, Task};
+use crate::scorer::Scorer;
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 
@@ -29,26 +30,39 @@ use crate::summary::Summary;
 /// Each segment of a log is a map of its own.
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut task = run.task_of(Stage::Optimize)?;
-    let fitted = fitted_detector(run, &mut task)?;
-    run.task(&task, |provenance| optimize(run, fitted.as_ref(), &provenance))
+    let trained = trained_model(run, &mut task)?;
+    run.task(&task, |provenance| optimize(run, trained.as_ref(), &provenance))
 }
 
-/// The detector that `train` has fitted in this run. Its model becomes an input of the task. `None` if
-/// the command names a model, and if there was nothing to fit the detector to.
-fn fitted_detector(run: &Run, task: &mut Task) -> Result<Option<Detector>> {
+/// The model that `train` has made in this run, with its detector: of several, the one with the smallest
+/// error by the first grouping. It becomes an input of the task, with the features that its classifier
+/// needs. `None` if the command names a model, and if there was nothing to fit a detector to.
+fn trained_model(run: &Run, task: &mut Task) -> Result<Option<Model>> {
     if run.model.is_some() {
+        task.inputs.retain(|input| *input != run.path_of(Artifact::Features));
         return Ok(None);
     }
+    let mut models = Vec::new();
     for path in run.trained_models() {
-        if run.is_dry() && !path.exists() {
-            continue;
-        }
-        if let Some(detector) = model::load(&path)?.detector {
-            task.inputs.push(path);
-            return Ok(Some(detector));
+        if !run.is_dry() || path.exists() {
+            models.push((model::load(&path)?, path));
         }
     }
-    Ok(None)
+    let error = |model: &Model| model.measured.first().map_or(1.0, |measured| measured.error);
+    let best = models
+        .into_iter()
+        .filter(|(model, _)| model.detector.is_some())
+        .min_by(|(a, _), (b, _)| error(a).total_cmp(&error(b)));
+    Ok(match best {
+        Some((model, path)) => {
+            task.inputs.push(path);
+            Some(model)
+        }
+        None => {
+            task.inputs.retain(|input| *input != run.path_of(Artifact::Features));
+            None
+        }
+    })
 }
 
 /// What the logs of a run give together.
@@ -60,13 +74,16 @@ struct Maps {
     n_maps: u32,
 }
 
-fn optimize(run: &Run, fitted: Option<&Detector>, provenance: &Provenance) -> Result<Done> {
-    let (candidates, _) = read_candidates(&run.path_of(Artifact::Candidates))?;
+fn optimize(run: &Run, trained: Option<&Model>, provenance: &Provenance) -> Result<Done> {
+    let (mut candidates, _) = read_candidates(&run.path_of(Artifact::Candidates))?;
     let mut done = Done::default();
-    let detector = fitted.unwrap_or_else(|| run.detector());
-    if fitted.is_none() && run.model.is_none() {
+    let detector = trained.and_then(|model| model.detector.as_ref());
+    if let Some(model) = trained {
+        add_confidences(run, model, &mut candidates)?;
+    } else if run.model.is_none() {
         done.notes.push(NoteKind::DetectorNotTrained.into());
     }
+    let detector = detector.unwrap_or_else(|| run.detector());
     let mut maps = Maps::default();
     let mut trajectories = Vec::new();
     for log in run.ingested_logs()? {
@@ -85,6 +102,18 @@ fn optimize(run: &Run, fitted: Option<&Detector>, provenance: &Provenance) -> Re
     let provenance = Provenance { notes: done.notes.clone(), ..provenance.clone() };
     done.outputs = write(run, &provenance, &maps, &trajectories)?;
     Ok(done)
+}
+
+/// Adds the confidence of the classifier to candidates that were found without it: the detector was
+/// fitted to evidence with it.
+fn add_confidences(run: &Run, model: &Model, candidates: &mut [CandidateClosure]) -> Result<()> {
+    let scorer = Scorer::new(run, model)?;
+    for CandidateClosure { closure, .. } in candidates {
+        if closure.classifier.is_none() && scorer.can_score(&closure.query.log) {
+            closure.classifier = scorer.score(&closure.query, &closure.reference);
+        }
+    }
+    Ok(())
 }
 
 /// Optimizes each segment of a log. Returns the pose at every scan.

@@ -10,6 +10,7 @@ use model::{FeatureSpec, Model, Training};
 
 use crate::findings::Findings;
 use crate::fit_detector::fit_detectors;
+use crate::labelled::{features_of, labelled_keyframes};
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
 use crate::summary::{GroupingError, Summary};
@@ -32,9 +33,11 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
 fn train(run: &Run, provenance: &Provenance) -> Result<Done> {
     let config = &run.config;
     let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
-    let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
     let (features, _) = read_features(&run.path_of(Artifact::Features))?;
     check_features(&config.featurize, &keyframes, &features)?;
+    let (keyframes, _) = labelled_keyframes(run)?;
+    let features = features_of(features, &keyframes);
+    let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
     let stability = run.path_of(Artifact::FeatureStability);
     let (stability, _) = read_feature_stability(&stability, &features.names)?;
 
