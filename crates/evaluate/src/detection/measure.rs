@@ -54,6 +54,11 @@ pub struct AgainstTruth {
     pub n_known: usize,
     /// Those of them whose true pose is measured. See [`TruePose::is_measured`].
     pub n_measured: usize,
+    /// True poses that contradict scan matching. Closures and revisits are not compared with them, but
+    /// trajectories are.
+    pub n_doubtful: usize,
+    /// Accepted closures that are false if doubtful true poses are used as well.
+    pub n_false_with_doubtful: usize,
     /// Accepted closures.
     pub closures: ClosureErrors,
     /// Revisits by keyframe.
@@ -164,13 +169,21 @@ pub fn measure(drive: &Drive<'_>) -> DriveMeasures {
 
 /// `None` if no keyframe has a true pose.
 fn against_truth(drive: &Drive<'_>, truth: &Truth) -> Option<AgainstTruth> {
-    let poses: Vec<Option<TruePose>> =
-        drive.keyframes.iter().map(|k| truth.at(k.stamp_ns)).collect();
+    let poses = known_poses(drive, truth);
     let n_known = poses.iter().flatten().count();
     if n_known == 0 {
         return None;
     }
     let judged = judge_closures(&poses, drive.closures);
+    let with_doubtful = known_poses(drive, &truth.with_doubtful());
+    let n_false_with_doubtful = drive
+        .closures
+        .iter()
+        .zip(judge_closures(&with_doubtful, drive.closures))
+        .filter(|(closure, judged)| {
+            closure.rejected.is_none() && judged.is_some_and(|j| j.verdict == Verdict::False)
+        })
+        .count();
     let candidates = judge_candidates(&poses, drive.candidates);
     let accepted: Vec<Option<Judged>> = drive
         .closures
@@ -183,6 +196,8 @@ fn against_truth(drive: &Drive<'_>, truth: &Truth) -> Option<AgainstTruth> {
     Some(AgainstTruth {
         n_known,
         n_measured: poses.iter().flatten().filter(|t| t.is_measured).count(),
+        n_doubtful: truth.n_doubtful(),
+        n_false_with_doubtful,
         closures: ClosureErrors::new(&accepted),
         revisits: Revisits::new(&revisit),
         candidates: CandidateErrors::new(&candidates),
@@ -194,6 +209,11 @@ fn against_truth(drive: &Drive<'_>, truth: &Truth) -> Option<AgainstTruth> {
         judged,
         poses,
     })
+}
+
+/// The true poses of the keyframes.
+fn known_poses(drive: &Drive<'_>, truth: &Truth) -> Vec<Option<TruePose>> {
+    drive.keyframes.iter().map(|k| truth.at(k.stamp_ns)).collect()
 }
 
 fn trajectory_errors(drive: &Drive<'_>, truth: &Truth, source: PoseSource) -> TrajectoryErrors {

@@ -38,4 +38,4 @@ pub use revisits::{
 };
 pub use tables::write_detection;
 pub use trajectory::{Alignment, DRIFT_PATHS_M, Drift, align, relative_errors, tum};
-pub use truth::{MAX_CARRY_NS, MAX_INTERPOLATION_NS, TruePose, Truth};
+pub use truth::{DOUBTFUL_DEG, DOUBTFUL_M, MAX_CARRY_NS, MAX_INTERPOLATION_NS, TruePose, Truth};

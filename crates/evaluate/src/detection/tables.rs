@@ -134,6 +134,8 @@ fn scalars_of_truth(truth: &AgainstTruth) -> Vec<(String, Option<f64>)> {
     let mut add = |name: &str, value: Option<f64>| all.push((name.to_owned(), value));
     let count = |n: usize| Some(n as f64);
     add("n_keyframes_with_truth", count(truth.n_known));
+    add("n_doubtful_truth", count(truth.n_doubtful));
+    add("n_false_by_pose_with_doubtful_truth", count(truth.n_false_with_doubtful));
     let closures = &truth.closures;
     add("n_judged", count(closures.n_judged));
     add("n_false_by_pose", count(closures.n_false_by_pose));

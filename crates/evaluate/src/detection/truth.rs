@@ -11,6 +11,19 @@ use super::input::ScanPoses;
 pub const MAX_INTERPOLATION_NS: i64 = 250_000_000;
 /// The truth is carried along the optimized trajectory over at most this time \[ns\].
 pub const MAX_CARRY_NS: i64 = 4_000_000_000;
+/// A true pose is doubtful if the truth contradicts scan matching by more than this before and after it
+/// \[m\], or by more than [`DOUBTFUL_DEG`]. Over the step between two true poses, scan matching is an
+/// order of magnitude better.
+pub const DOUBTFUL_M: f64 = 0.5;
+/// See [`DOUBTFUL_M`] \[deg\].
+pub const DOUBTFUL_DEG: f64 = 5.0;
+/// Over a longer step, scan matching says nothing about the truth \[m\].
+const MAX_STEP_M: f64 = 5.0;
+/// Most doubtful true poses in a row. More would be a stretch of its own.
+const MAX_DOUBTFUL: usize = 5;
+/// Two registered scans farther apart give no scan-matched pose in between \[ns\]. A robot that stands
+/// still registers no scans.
+const MAX_REGISTERED_GAP_NS: i64 = 10_000_000_000;
 /// Two scans farther apart give no optimized pose in between \[ns\].
 const MAX_SCAN_GAP_NS: i64 = 2_000_000_000;
 
@@ -30,6 +43,8 @@ pub struct TruePose {
 pub struct Truth {
     /// The true poses in the frame that has most of them.
     poses: Trajectory,
+    /// Those of them that are not doubtful.
+    trusted: Trajectory,
     /// The optimized trajectory.
     optimized: Trajectory,
 }
@@ -44,20 +59,40 @@ impl Truth {
         }
         let most = counts.values().max().copied();
         let frame = counts.iter().find(|(_, n)| Some(**n) == most).map_or(0, |(frame, _)| *frame);
-        let of_frame = truth.poses().iter().filter(|p| p.frame == frame).copied().collect();
-        let optimized =
-            scans.iter().map(|scan| StampedPose::new(scan.stamp_ns, scan.optimized)).collect();
-        Self { poses: Trajectory::new(of_frame).0, optimized: Trajectory::new(optimized).0 }
+        let of_frame: Vec<StampedPose> =
+            truth.poses().iter().filter(|p| p.frame == frame).copied().collect();
+        let trajectory = |poses: Vec<StampedPose>| Trajectory::new(poses).0;
+        let optimized = scans.iter().map(|s| StampedPose::new(s.stamp_ns, s.optimized));
+        let matched =
+            scans.iter().filter_map(|s| Some(StampedPose::new(s.stamp_ns, s.scan_matched?)));
+        let doubtful = doubtful(&of_frame, &trajectory(matched.collect()));
+        let trusted = of_frame.iter().zip(doubtful).filter(|(_, doubtful)| !doubtful);
+        Self {
+            trusted: trajectory(trusted.map(|(pose, _)| *pose).collect()),
+            optimized: trajectory(optimized.collect()),
+            poses: trajectory(of_frame),
+        }
     }
 
-    /// The truth at a stamp, if it is measured there. See [`TruePose::is_measured`].
+    /// Number of true poses that contradict scan matching, in the time of the drive.
+    pub fn n_doubtful(&self) -> usize {
+        self.poses.poses().len() - self.trusted.poses().len()
+    }
+
+    /// The same truth with the doubtful poses.
+    #[must_use]
+    pub fn with_doubtful(&self) -> Self {
+        Self { trusted: self.poses.clone(), ..self.clone() }
+    }
+
+    /// The truth at a stamp, if it is measured there, doubtful or not. See [`TruePose::is_measured`].
     pub fn measured_at(&self, stamp_ns: i64) -> Option<Pose2> {
         self.poses.pose_at(stamp_ns, MAX_INTERPOLATION_NS).ok()
     }
 
-    /// The truth at the stamp of a scan.
+    /// The truth at the stamp of a scan, by the true poses that are not doubtful.
     pub fn at(&self, stamp_ns: i64) -> Option<TruePose> {
-        if let Some(pose) = self.measured_at(stamp_ns) {
+        if let Ok(pose) = self.trusted.pose_at(stamp_ns, MAX_INTERPOLATION_NS) {
             return Some(TruePose { pose, is_measured: true });
         }
         let nearest = self.nearest(stamp_ns)?;
@@ -69,13 +104,43 @@ impl Truth {
 
     /// The true pose nearest in time; the earlier one of two.
     fn nearest(&self, stamp_ns: i64) -> Option<StampedPose> {
-        let poses = self.poses.poses();
+        let poses = self.trusted.poses();
         let after = poses.partition_point(|p| p.stamp_ns < stamp_ns);
         let gap = |p: &&StampedPose| p.stamp_ns.abs_diff(stamp_ns);
         let neighbours = [after.checked_sub(1).and_then(|k| poses.get(k)), poses.get(after)];
         let nearest = neighbours.into_iter().flatten().min_by_key(gap)?;
         (gap(&nearest) <= MAX_CARRY_NS.unsigned_abs()).then_some(*nearest)
     }
+}
+
+/// Which true poses are doubtful: the step to them contradicts scan matching, and without them the
+/// truth before and after agrees with it.
+fn doubtful(truth: &[StampedPose], matched: &Trajectory) -> Vec<bool> {
+    let agrees = |a: usize, b: usize| -> Option<bool> {
+        let (a, b) = (&truth[a], &truth[b]);
+        let matched = |of: &StampedPose| matched.pose_at(of.stamp_ns, MAX_REGISTERED_GAP_NS).ok();
+        let (from, to) = (matched(a)?, matched(b)?);
+        if MAX_STEP_M < a.pose.distance_m(&b.pose) || a.segment != b.segment {
+            return None;
+        }
+        let (step, expected) = (a.pose.inverse() * b.pose, from.inverse() * to);
+        let is_turned = DOUBTFUL_DEG < step.heading_difference_rad(&expected).to_degrees();
+        Some(step.distance_m(&expected) <= DOUBTFUL_M && !is_turned)
+    };
+    let mut doubtful = vec![false; truth.len()];
+    let mut k = 0;
+    while k + 1 < truth.len() {
+        let mut next = k + 1;
+        if agrees(k, next) == Some(false) {
+            let last = (k + 1 + MAX_DOUBTFUL).min(truth.len() - 1);
+            if let Some(after) = (k + 2..=last).find(|&after| agrees(k, after) == Some(true)) {
+                doubtful[k + 1..after].fill(true);
+                next = after;
+            }
+        }
+        k = next;
+    }
+    doubtful
 }
 
 #[cfg(test)]
@@ -139,5 +204,35 @@ mod tests {
         let truth = Truth::new(&Trajectory::new(poses).0, &[]);
         assert_eq!(truth.measured_at(SECOND / 10), Some(at(1.5, 0.0, 0.0)));
         assert_eq!(truth.measured_at(2 * SECOND), None);
+    }
+
+    /// A true pose each second while the robot drives 1 m/s along x. Those at 4 and 5 s are turned by
+    /// 11 deg, and that at 12 s is 0.6 m to the left. From 16 s on, the truth jumps by 2 m for good.
+    #[test]
+    fn true_poses_that_contradict_scan_matching_are_doubtful() {
+        let on_line = |k: usize| at(k as f64, 0.0, 0.0);
+        let scans: Vec<ScanPoses> = (0..20)
+            .map(|k| ScanPoses {
+                scan_matched: Some(on_line(k)),
+                ..scan(k as i64 * SECOND, on_line(k))
+            })
+            .collect();
+        let measured = |k: usize| match k {
+            4 | 5 => at(k as f64, 0.0, 11.0),
+            12 => at(12.0, 0.6, 0.0),
+            16.. => at(k as f64, 2.0, 0.0),
+            _ => on_line(k),
+        };
+        let poses = (0..20).map(|k| StampedPose::new(k as i64 * SECOND, measured(k))).collect();
+        let truth = Truth::new(&Trajectory::new(poses).0, &scans);
+        assert_eq!(truth.n_doubtful(), 3);
+        for k in 0..20 {
+            let found = truth.at(scans[k].stamp_ns).unwrap();
+            let is_doubtful = [4, 5, 12].contains(&k);
+            let expected = if is_doubtful { on_line(k) } else { measured(k) };
+            assert!(is_near(found.pose, expected) && found.is_measured != is_doubtful, "{k}");
+            assert_eq!(truth.measured_at(scans[k].stamp_ns), Some(measured(k)));
+            assert_eq!(truth.with_doubtful().at(scans[k].stamp_ns).unwrap().pose, measured(k));
+        }
     }
 }

@@ -4,8 +4,9 @@ use maud::{Markup, html};
 
 use super::figure;
 use crate::detection::{
-    AgainstTruth, Calibration, Drive, DriveMeasures, FALSE_DEG, FALSE_M, FoundClosure, NEAR_PATH_M,
-    PLACE_M, PoseSource, REVISIT_M, REVISIT_PATH_M, RIGHT_DEG, RIGHT_M, Revisits,
+    AgainstTruth, Calibration, DOUBTFUL_DEG, DOUBTFUL_M, Drive, DriveMeasures, FALSE_DEG, FALSE_M,
+    FoundClosure, NEAR_PATH_M, PLACE_M, PoseSource, REVISIT_M, REVISIT_PATH_M, RIGHT_DEG, RIGHT_M,
+    Revisits,
 };
 use crate::figures::{ClosureSketches, DriveSketch, Figure, Overlay, drive_name, overlay_id};
 use crate::text::{NO_VALUE, optional_percent, thousands};
@@ -131,6 +132,12 @@ fn errors(measures: &[DriveMeasures]) -> Markup {
         }
         p class="note" {
             "ATE: root mean square distance to the true positions after alignment, at the scans with a measured true pose. "
+            @let n_doubtful: usize = measures.iter().filter_map(|m| m.truth.as_ref()).map(|t| t.n_doubtful).sum();
+            @if 0 < n_doubtful {
+                (n_doubtful) " true poses contradict scan matching by more than " (DOUBTFUL_M) "\u{a0}m or " (DOUBTFUL_DEG)
+                "\u{a0}deg, both before and after; closures are not compared with them. With them, "
+                (measures.iter().filter_map(|m| m.truth.as_ref()).map(|t| t.n_false_with_doubtful).sum::<usize>()) " closures would be false. "
+            }
             "NEES: mean squared error, normalized by the covariance. Above its bounds, covariances are too small; a third of it is the factor. "
             "All numbers are in " code { "evaluation/detection.parquet" } ", every closure is in " code { "evaluation/closure_errors.parquet" } "."
         }
