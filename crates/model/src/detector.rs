@@ -121,13 +121,15 @@ pub struct StrongLimits {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct VerifierMeasures {
-    /// Log loss of [`Detector::verifier`]. Equal to the next one if no candidate has a confidence of
-    /// the classifier.
+    /// Log loss of [`Detector::verifier`].
     pub log_loss: f64,
     /// Log loss of [`Detector::verifier_without_classifier`].
     pub log_loss_without_classifier: f64,
     /// Log loss of the share of right candidates.
     pub log_loss_of_share: f64,
+    /// Candidates with a confidence of the classifier. If there are too few for a fit, both verifiers are
+    /// the same.
+    pub n_with_classifier: u32,
 }
 
 /// A part of a [`Detector`] that is fitted on its own.

@@ -82,6 +82,11 @@ fn write_origin(card: &mut String, detector: &Detector) -> fmt::Result {
             "| log loss of the confidence | {:.4}; without the classifier {:.4}; of the share of right candidates {:.4} |",
             measured.log_loss, measured.log_loss_without_classifier, measured.log_loss_of_share
         )?;
+        writeln!(
+            card,
+            "| candidates with a confidence of the classifier | {} |",
+            measured.n_with_classifier
+        )?;
     }
     if detector.logs.is_empty() {
         writeln!(card, "\nThese are starting values. They were not fitted to any log.")?;

@@ -19,6 +19,7 @@ fn detector() -> Detector {
         log_loss: 0.0625,
         log_loss_without_classifier: 0.125,
         log_loss_of_share: 0.5,
+        n_with_classifier: 254,
     };
     let mut detector = Detector {
         measured: Some(measures),
@@ -296,6 +297,7 @@ fn a_card_states_the_detector_in_words() {
         "| confidence | logistic function of -2.50 + 10.00 overlap - 4.25 conflict + 0.75 classifier |\n",
         "| confidence without the classifier | logistic function of -2.50 + 10.00 overlap |\n",
         "| log loss of the confidence | 0.0625; without the classifier 0.1250; of the share",
+        "| candidates with a confidence of the classifier | 254 |\n",
         "| monday | 120 | 7 |\n",
         "**Not fitted**: the error of the odometry, the evidence of the strongest closure of a group.",
         "\n## Limits\n",

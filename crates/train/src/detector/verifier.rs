@@ -37,6 +37,7 @@ pub(super) fn fit(logs: &[Vec<Judged<'_>>]) -> Result<Verifiers, NotFitted> {
             log_loss: log_loss(&without_classifier, &all),
             log_loss_without_classifier: log_loss(&without_classifier, &all),
             log_loss_of_share: log_loss_of_share(&all),
+            n_with_classifier: classified.len() as u32,
         };
         return Ok(Verifiers { verifier: without_classifier, without_classifier, measures });
     }
@@ -47,6 +48,7 @@ pub(super) fn fit(logs: &[Vec<Judged<'_>>]) -> Result<Verifiers, NotFitted> {
         log_loss: log_loss(&with, &classified),
         log_loss_without_classifier: log_loss(&alone, &classified),
         log_loss_of_share: log_loss_of_share(&classified),
+        n_with_classifier: classified.len() as u32,
     };
     Ok(Verifiers { verifier: with, without_classifier, measures })
 }
