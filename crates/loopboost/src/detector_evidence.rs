@@ -7,6 +7,8 @@ use model::Detector;
 use train::detector::{FoundCandidate, KnownPose, LogEvidence, alignment_covariance};
 
 use crate::drives::{evidence, matrix};
+use crate::goal::Goal;
+use crate::stage::Artifact;
 
 /// Between two true poses at most this far apart, the truth is interpolated \[ns\]. `evaluate` uses the
 /// same limit.
@@ -17,6 +19,19 @@ const MAX_CARRY_M: f64 = 1.0;
 /// True poses that are closer together on the path than this are thinned \[m\]. It is the spacing of
 /// registered scans.
 const SPACING_M: f64 = 0.2;
+
+/// Places that are compared with each place in a run that fits a detector. It is twice the starting
+/// value, because a fit cannot choose a larger number than was tried.
+const TRIED_CANDIDATES: u32 = 10;
+
+/// The detector of a run without a model.
+pub(crate) fn starting_values(goal: Goal) -> Detector {
+    let mut detector = Detector::starting_values();
+    if goal.trains() && goal.has(Artifact::Truth) {
+        detector.n_candidates = TRIED_CANDIDATES;
+    }
+    detector
+}
 
 /// The tables of a log.
 pub(crate) struct LogTables<'a> {

@@ -222,7 +222,7 @@ fn closed(
             reference: pair.reference,
             reference_from_query: fit.a_from_b,
             covariance: covariance(fit, &detector.closure),
-            confidence: detector.verifier.confidence(&evidence),
+            confidence: detector.confidence(&evidence),
             evidence,
         };
         closures.insert((pair.query, pair.reference), Closure { proposal, rejected });

@@ -19,6 +19,7 @@ use ingest::FileState;
 use model::Detector;
 
 use crate::config::{Config, usage};
+use crate::detector_evidence::starting_values;
 use crate::findings::Findings;
 use crate::goal::Goal;
 use crate::logs::LogFile;
@@ -120,7 +121,7 @@ impl Run {
             config,
             goal,
             model,
-            starting_values: Detector::starting_values(),
+            starting_values: starting_values(goal),
             manifest: RefCell::new(Manifest::load(&folder.root)),
             digests: RefCell::default(),
             states: RefCell::default(),

@@ -12,6 +12,7 @@ use dataset::{
 use model::{Detector, Model};
 use optimize::{Edge, Proposal, Reason, Solution, align_every_scan, close_loops};
 use register::OdometryScan;
+use train::detector::{alignment_covariance, closure_covariance};
 
 use crate::drives::{
     PosedScan, RegisteredDrive, by_scan, closure_row, evidence, matrix, posed_scans,
@@ -127,7 +128,7 @@ fn optimize_log(
     let posed = posed_scans(run, &log.name)?;
     let mut poses = Vec::new();
     for registered in registered_drives(run, &log.name)? {
-        let proposals = proposals(&registered, candidates, detector)?;
+        let proposals = proposals(&registered, candidates, run.detector(), detector)?;
         let drive = registered.drive();
         let min_path_m = run.config.detection().min_path_m;
         let solution = close_loops(&drive, &proposals, detector, min_path_m);
@@ -150,16 +151,21 @@ fn optimize_log(
     Ok(Trajectory::new(poses).0)
 }
 
-/// The candidates of a drive, with their confidence by this detector.
+/// The candidates of a drive, with the covariance and the confidence that `detector` gives them. They were
+/// found with the detector `found_with`.
 fn proposals(
     registered: &RegisteredDrive,
     candidates: &[CandidateClosure],
+    found_with: &Detector,
     detector: &Detector,
 ) -> Result<Vec<Proposal>> {
     let Some(first) = registered.rows.first() else { return Ok(Vec::new()) };
     let rows = by_scan(&registered.rows);
     let mut proposals = Vec::new();
-    for CandidateClosure { closure, .. } in candidates {
+    // Those that a detector would not have compared were found for training only.
+    for CandidateClosure { closure, .. } in
+        candidates.iter().filter(|candidate| candidate.rank < detector.n_candidates)
+    {
         let row_of = |id: &dataset::ScanId| match id.log == first.id.log {
             true => rows.get(&id.scan).copied(),
             false => None,
@@ -174,9 +180,12 @@ fn proposals(
             query,
             reference,
             reference_from_query: closure.reference_from_query,
-            covariance: matrix(closure.covariance),
+            covariance: closure_covariance(
+                &alignment_covariance(&matrix(closure.covariance), found_with),
+                detector,
+            ),
             evidence,
-            confidence: detector.verifier.confidence(&evidence),
+            confidence: detector.confidence(&evidence),
         });
     }
     Ok(proposals)

@@ -147,6 +147,14 @@ pub fn alignment_covariance(covariance: &Matrix3<f64>, detector: &Detector) -> M
     covariance / noise.covariance_factor
 }
 
+/// The covariance that `detector` gives a candidate, from that of its alignment: the inverse of
+/// [`alignment_covariance`].
+pub fn closure_covariance(alignment: &Matrix3<f64>, detector: &Detector) -> Matrix3<f64> {
+    let noise = &detector.closure;
+    let constant = [noise.std_m, noise.std_m, noise.std_rad].map(|std| std * std);
+    alignment * noise.covariance_factor + Matrix3::from_diagonal(&constant.into())
+}
+
 fn keep<T>(fitted: Result<T, NotFitted>, value: &mut T, not_fitted: &mut Vec<NotFitted>) {
     match fitted {
         Ok(fitted) => *value = fitted,
