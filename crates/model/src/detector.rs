@@ -80,6 +80,11 @@ pub struct ClosureNoise {
     pub std_rad: f64,
     /// Factor of the covariance of an alignment, so that its normalized errors have the right size.
     pub covariance_factor: f64,
+    /// Standard deviation of x and of y for the choice of closures that agree with each other \[m\]. It is
+    /// larger than `std_m`, because a few right closures have large errors, and must be kept.
+    pub consistency_std_m: f64,
+    /// The same for the heading \[rad\].
+    pub consistency_std_rad: f64,
 }
 
 /// Logistic regression on evidence, whose weights have a fixed sign: more overlap never lowers the
@@ -210,6 +215,8 @@ impl Detector {
                 std_m: 0.12,
                 std_rad: 2f64.to_radians(),
                 covariance_factor: 1.0,
+                consistency_std_m: 0.12,
+                consistency_std_rad: 2f64.to_radians(),
             },
             verifier,
             verifier_without_classifier: verifier,

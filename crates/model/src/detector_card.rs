@@ -39,6 +39,12 @@ fn write_noise(card: &mut String, detector: &Detector) -> fmt::Result {
         closure.std_m,
         closure.std_rad.to_degrees(),
         closure.covariance_factor
+    )?;
+    writeln!(
+        card,
+        "| tolerance for the choice of consistent closures | standard deviation {:.3} m and {:.2} deg |",
+        closure.consistency_std_m,
+        closure.consistency_std_rad.to_degrees()
     )
 }
 

@@ -33,6 +33,8 @@ pub(crate) fn check_detector(detector: &Detector) -> Result<(), String> {
         ("drift.std_rad_per_sqrt_m", drift.std_rad_per_sqrt_m, MAX_STD_RAD),
         ("closure.std_m", closure.std_m, MAX_STD_M),
         ("closure.std_rad", closure.std_rad, MAX_STD_RAD),
+        ("closure.consistency_std_m", closure.consistency_std_m, MAX_STD_M),
+        ("closure.consistency_std_rad", closure.consistency_std_rad, MAX_STD_RAD),
         ("closure.covariance_factor", closure.covariance_factor, MAX_FACTOR),
     ] {
         if !(0.0 < std && std <= max) {

@@ -187,6 +187,8 @@ fn numbers(detector: &mut Detector) -> Vec<&mut f64> {
         &mut detector.closure.std_m,
         &mut detector.closure.std_rad,
         &mut detector.closure.covariance_factor,
+        &mut detector.closure.consistency_std_m,
+        &mut detector.closure.consistency_std_rad,
         &mut detector.min_confidence,
         &mut detector.strong.known_overlap,
         &mut detector.strong.conflict,
@@ -213,7 +215,7 @@ fn numbers(detector: &mut Detector) -> Vec<&mut f64> {
 #[test]
 fn a_detector_with_a_number_that_is_not_finite_is_not_saved() {
     let n_numbers = numbers(&mut detector()).len();
-    assert_eq!(n_numbers, 27);
+    assert_eq!(n_numbers, 29);
     for k in 0..n_numbers {
         for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut detector = detector();
@@ -292,6 +294,7 @@ fn a_card_states_the_detector_in_words() {
         "| error of the odometry, after d metres | 0.020 m + 0.150 d, 0.57 deg + 5.00 deg sqrt(d) |\n",
         "| error of scan matching, after d metres | 0.0300 m sqrt(d), 0.400 deg sqrt(d) |\n",
         "| error of a closure | at least 0.120 m and 2.00 deg; covariance of the alignment times 1.00 |\n",
+        "| tolerance for the choice of consistent closures | standard deviation 0.120 m and 2.00 deg |\n",
         "| places compared with each place | 5 |\n",
         "| the strongest closure of a group | known overlap 0.500 or more, conflict 0.200 or less |\n",
         "| confidence | logistic function of -2.50 + 10.00 overlap - 4.25 conflict + 0.75 classifier |\n",

@@ -74,7 +74,8 @@ impl Graph<'_> {
         let edge = |link: &Link| {
             let Link { reference, query, reference_from_query } = *link;
             let noise = &self.noise;
-            Edge::independent(reference, query, reference_from_query, noise.std_m, noise.std_rad)
+            let (std_m, std_rad) = (noise.consistency_std_m, noise.consistency_std_rad);
+            Edge::independent(reference, query, reference_from_query, std_m, std_rad)
         };
         links.iter().map(edge).collect()
     }

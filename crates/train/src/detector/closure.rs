@@ -49,11 +49,42 @@ pub(super) fn fit(logs: &[Vec<Judged<'_>>]) -> Result<ClosureNoise, NotFitted> {
         errors.iter().map(|error| (error.normalized(&noise), error.weight)).collect();
     let scale = normalized.quantile(0.5) / CHI_SQUARE_3_MEDIAN;
     let within = |value: f64, [least, most]: [f64; 2]| value.clamp(least, most);
+    let (consistency_std_m, consistency_std_rad) = consistency(logs);
     Ok(ClosureNoise {
+        consistency_std_m,
+        consistency_std_rad,
         std_m: within(noise.std_m * scale.sqrt(), STD_M),
         std_rad: within(noise.std_rad * scale.sqrt(), STD_RAD),
         covariance_factor: within(noise.covariance_factor * scale, FACTOR),
     })
+}
+
+/// Range of the tolerance for the choice of consistent closures \[m\], \[rad\]. Below 0.05 m and 0.5 deg, the
+/// odometry between two closures decides more than the closures; above 0.15 m and 2.5 deg, wrong closures
+/// of a neighbouring door or pillar would agree with right ones.
+const CONSISTENCY_STD_M: [f64; 2] = [0.05, 0.15];
+const CONSISTENCY_STD_RAD: [f64; 2] = [0.008_726_646_259_971_648, 0.043_633_231_299_858_24];
+/// Square roots of the 99 % quantiles of the chi-square distribution with 2 and with 1 degrees of
+/// freedom: 9.2103 and 6.6349.
+const CHI_2_99: f64 = 3.034_854;
+const CHI_1_99: f64 = 2.575_829;
+
+/// Standard deviations with which a chi-square test at 99 % keeps 99 % of the right candidates of each
+/// log, though their errors are not normal: the 99 % quantiles of the errors over those of chi. Of
+/// several logs, the largest counts.
+fn consistency(logs: &[Vec<Judged<'_>>]) -> (f64, f64) {
+    let of_logs = |error: &dyn Fn(&Judged<'_>) -> f64, [least, most]: [f64; 2]| {
+        let quantile = |log: &Vec<Judged<'_>>| {
+            let errors: Sample =
+                log.iter().filter(|c| is_used(c)).map(|c| (error(c), 1.0)).collect();
+            errors.quantile(0.99)
+        };
+        // `max` ignores the NaN of a log without right candidates.
+        logs.iter().map(quantile).fold(least, f64::max).min(most)
+    };
+    let position = |c: &Judged<'_>| libm::hypot(c.error[0], c.error[1]) / CHI_2_99;
+    let heading = |c: &Judged<'_>| c.error[2].abs() / CHI_1_99;
+    (of_logs(&position, CONSISTENCY_STD_M), of_logs(&heading, CONSISTENCY_STD_RAD))
 }
 
 fn is_used(candidate: &Judged<'_>) -> bool {
@@ -93,18 +124,27 @@ impl Error {
     }
 }
 
+/// The search starts here. The values are those of a good alignment in a room.
+const START: ClosureNoise = ClosureNoise {
+    std_m: 0.03,
+    std_rad: 0.01,
+    covariance_factor: 1.0,
+    consistency_std_m: CONSISTENCY_STD_M[0],
+    consistency_std_rad: CONSISTENCY_STD_RAD[0],
+};
+
 /// The noise with the largest likelihood: a compass search over the logarithms of the three numbers.
 fn most_likely(errors: &[Error]) -> ClosureNoise {
     let ranges = [FACTOR, STD_M, STD_RAD];
     let noise = |at: &[f64; 3]| {
         let [covariance_factor, std_m, std_rad] = at.map(libm::exp);
-        ClosureNoise { std_m, std_rad, covariance_factor }
+        ClosureNoise { std_m, std_rad, covariance_factor, ..START }
     };
     let loss = |at: &[f64; 3]| {
         let noise = noise(at);
         errors.iter().map(|error| error.weight * error.loss(&noise)).sum::<f64>()
     };
-    let mut at = [1.0, 0.03, 0.01].map(libm::log);
+    let mut at = [START.covariance_factor, START.std_m, START.std_rad].map(libm::log);
     let mut best = loss(&at);
     let mut step = 1.0;
     while 1e-3 < step {
@@ -125,4 +165,100 @@ fn most_likely(errors: &[Error]) -> ClosureNoise {
         }
     }
     noise(&at)
+}
+
+#[cfg(test)]
+mod tests {
+    use dataset::{Pose2, SplitMix64};
+    use model::Evidence;
+
+    use super::*;
+    use crate::detector::{FoundCandidate, LogEvidence, judge};
+
+    fn normal(random: &mut SplitMix64) -> f64 {
+        let uniform =
+            |random: &mut SplitMix64| (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+        (0..12).map(|_| uniform(random)).sum::<f64>() - 6.0
+    }
+
+    /// Candidates whose covariance by the alignment has standard deviations from 1 to 10 mm and a tenth of
+    /// that in rad. The errors have `factor` times that covariance plus constant variances. One in
+    /// `outliers` is 0.3 m off.
+    fn log(seed: u64, factor: f64, [std_m, std_rad]: [f64; 2], outliers: usize) -> LogEvidence {
+        let mut random = SplitMix64::new(seed);
+        let candidates = (0..3000usize).map(|k| {
+            let of_alignment = 0.001 * (1 + k % 10) as f64;
+            let [m2, rad2] = [of_alignment, 0.1 * of_alignment].map(|std| std * std);
+            let [x, y] =
+                [(); 2].map(|()| (factor * m2 + std_m * std_m).sqrt() * normal(&mut random));
+            let heading_rad = (factor * rad2 + std_rad * std_rad).sqrt() * normal(&mut random);
+            let off = if k % outliers == 7 { 0.3 } else { 0.0 };
+            FoundCandidate {
+                query: k as u64,
+                rank: 0,
+                reference_from_query: Pose2 { x_m: 1.0 + x + off, y_m: y, heading_rad },
+                covariance: Matrix3::from_diagonal(&Vector3::new(m2, m2, rad2)),
+                evidence: Evidence {
+                    overlap: 0.9,
+                    known_overlap: 0.9,
+                    n_known: 100,
+                    conflict: 0.0,
+                    margin: 0.5,
+                    weakness: 0.5,
+                    classifier: None,
+                },
+                truth: Some(Pose2 { x_m: 1.0, ..Pose2::default() }),
+            }
+        });
+        LogEvidence {
+            log: format!("log{seed}"),
+            known: Vec::new(),
+            odometry_has_covariance: true,
+            candidates: candidates.collect(),
+        }
+    }
+
+    fn fitted(log: &LogEvidence) -> ClosureNoise {
+        fit(&[judge(log)]).unwrap()
+    }
+
+    /// The errors of the position have variances of 16 x (1 to 10 mm)^2 + (20 mm)^2: both parts matter.
+    #[test]
+    fn the_factor_and_the_constant_variances_are_found() {
+        let found = fitted(&log(1, 16.0, [0.02, 0.004], usize::MAX));
+        assert!((found.covariance_factor / 16.0 - 1.0).abs() < 0.15, "{found:?}");
+        assert!((found.std_m / 0.02 - 1.0).abs() < 0.15, "{found:?}");
+        assert!((found.std_rad / 0.004 - 1.0).abs() < 0.15, "{found:?}");
+    }
+
+    /// With 3 % outliers of 0.3 m, the mean normalized error would be larger by about 0.03 x 0.3^2 / 0.04^2
+    /// = 1.7 of 3. The fit keeps the covariances of the others: their mean stays near 3.
+    #[test]
+    fn outliers_do_not_widen_the_covariances() {
+        let spoiled = fitted(&log(1, 4.0, [0.03, 0.004], 33));
+        let clean = log(1, 4.0, [0.03, 0.004], usize::MAX);
+        let judged = judge(&clean);
+        let mean = judged.iter().map(|c| Error::new(c, 1.0).normalized(&spoiled)).sum::<f64>()
+            / judged.len() as f64;
+        assert!((2.5..3.2).contains(&mean), "{mean} {spoiled:?}");
+    }
+
+    /// 2 % of the errors are 0.3 m, so the 99 % quantile is about 0.3: 0.3 / 3.035 = 0.099. Without them it
+    /// is that of a normal distribution with 0.03 m, below the smallest tolerance.
+    #[test]
+    fn the_tolerance_keeps_right_candidates_with_large_errors() {
+        let with = fitted(&log(1, 1.0, [0.03, 0.004], 50));
+        assert!((with.consistency_std_m / 0.099 - 1.0).abs() < 0.15, "{with:?}");
+        let without = fitted(&log(1, 1.0, [0.03, 0.004], usize::MAX));
+        assert!((without.consistency_std_m - 0.05).abs() < 1e-12, "{without:?}");
+        assert!(with.std_m < 0.04, "{with:?}");
+    }
+
+    #[test]
+    fn few_right_candidates_are_not_enough() {
+        let mut log = log(1, 1.0, [0.03, 0.004], usize::MAX);
+        log.candidates.truncate(24);
+        let missing = fit(&[judge(&log)]).unwrap_err();
+        assert_eq!(missing.found, "24 right candidates outside corridors");
+    }
 }
