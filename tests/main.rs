@@ -8,6 +8,7 @@
 
 mod batch;
 mod deskew;
+mod detection;
 mod encodings;
 mod errors;
 mod evidence;
