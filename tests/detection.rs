@@ -88,10 +88,13 @@ fn check_trajectory(out: &Path, log: &str) {
     for (line, pose) in text.lines().zip(poses.poses()) {
         let cells: Vec<&str> = line.split(' ').collect();
         let (seconds, rest) = cells[0].split_once('.').unwrap();
-        let stamp_ns = seconds.parse::<i64>().unwrap() * 1_000_000_000 + rest.parse::<i64>().unwrap();
+        let stamp_ns =
+            seconds.parse::<i64>().unwrap() * 1_000_000_000 + rest.parse::<i64>().unwrap();
         let number = |k: usize| cells[k].parse::<f64>().unwrap();
         assert_eq!((cells.len(), stamp_ns), (8, pose.stamp_ns));
-        assert!((number(1) - pose.pose.x_m).abs() < 1e-8 && (number(2) - pose.pose.y_m).abs() < 1e-8);
+        assert!(
+            (number(1) - pose.pose.x_m).abs() < 1e-8 && (number(2) - pose.pose.y_m).abs() < 1e-8
+        );
         let heading_rad = 2.0 * number(6).atan2(number(7));
         assert!(dataset::wrap_angle(heading_rad - pose.pose.heading_rad).abs() < 1e-9, "{line}");
     }
@@ -153,7 +156,11 @@ fn a_trained_model_finds_the_closures_of_a_new_drive_and_no_false_ones() {
     check_trajectory(&new, "friday");
     check_graph(&new);
     let (closures, _) = read_closures(&new.join("closures.parquet")).unwrap();
-    assert!(closures.iter().all(|closure| closure.closure.classifier.is_some() || closure.is_accepted()));
+    assert!(
+        closures
+            .iter()
+            .all(|closure| closure.closure.classifier.is_some() || closure.is_accepted())
+    );
     assert!(new.join("report.html").is_file() && !new.join("pairs.parquet").exists());
     let again = workplace.command("detect", "new", &model).expect(0).stdout;
     assert!(again.lines().all(|line| line.ends_with("(unchanged)")), "{again}");
@@ -237,7 +244,10 @@ fn a_model_without_a_detector_is_an_error_that_says_how_to_get_one() {
         "evaluate.truth",
     ]);
     assert!(!workplace.path("new").exists());
-    workplace.command("detect", "new", &["--model", "nothing.json"]).expect(1).says(&["nothing.json"]);
+    workplace
+        .command("detect", "new", &["--model", "nothing.json"])
+        .expect(1)
+        .says(&["nothing.json"]);
 
     // A pipeline with [detect] and no ground truth finds closures with the starting values.
     fs::write(workplace.path("drive.toml"), format!("{SHORT}\n[detect]\n")).unwrap();
@@ -261,12 +271,14 @@ fn the_options_of_loop_detection_are_checked() {
 /// A log without the topic of the ground truth is measured against nothing, and says so.
 #[test]
 fn a_log_without_ground_truth_is_reported() {
-    let workplace = Workplace::new(&SHORT.replace("groupings", "truth = { topic = \"/none\" }\ngroupings"));
+    let workplace =
+        Workplace::new(&SHORT.replace("groupings", "truth = { topic = \"/none\" }\ngroupings"));
     workplace.command("simulate", "out", &[]).expect(0);
-    workplace
-        .command("ingest", "out", &[])
-        .expect(3)
-        .says(&["warning[log_without_truth]", "/none", "correct `evaluate.truth`"]);
+    workplace.command("ingest", "out", &[]).expect(3).says(&[
+        "warning[log_without_truth]",
+        "/none",
+        "correct `evaluate.truth`",
+    ]);
     let (truth, _) = read_poses(&workplace.path("out/truth/monday.parquet")).unwrap();
     assert!(truth.poses().is_empty());
 }
@@ -319,7 +331,8 @@ fn score_gives_the_confidence_of_the_model_for_pairs_of_a_run() {
     score("pairs.csv", &["--point", "no such point"]).expect(2).says(&["no such point", name]);
     fs::write(workplace.path("other.csv"), printed.replace("monday", "tuesday")).unwrap();
     score("other.csv", &[]).expect(1).says(&["scans/tuesday.parquet", "--run"]);
-    fs::write(workplace.path("beyond.csv"), format!("{header}\nmonday,1,monday,99999999,0,1\n")).unwrap();
+    fs::write(workplace.path("beyond.csv"), format!("{header}\nmonday,1,monday,99999999,0,1\n"))
+        .unwrap();
     score("beyond.csv", &[]).expect(1).says(&["scans/monday.parquet", "99999999"]);
     fs::write(workplace.path("empty.csv"), header).unwrap();
     score("empty.csv", &[]).expect(1).says(&["has no pairs"]);

@@ -120,6 +120,15 @@ impl Stage {
                 outputs: &[A::Features, A::FeatureStability],
                 options: |config, _| Ok(to_value(&config.featurize)?),
             },
+            Self::Register | Self::Detect | Self::Optimize => self.spec_of_detection(),
+            Self::Train | Self::Evaluate => self.spec_of_models(),
+        }
+    }
+
+    /// The stages of loop detection.
+    fn spec_of_detection(self) -> Spec {
+        use Artifact as A;
+        match self {
             Self::Register => Spec {
                 name: "register",
                 help: "Match scans: scans, poses -> registered/LOG.parquet, odometry.parquet",
@@ -138,23 +147,7 @@ impl Stage {
                     Ok(value)
                 },
             },
-            Self::Train => Spec {
-                name: "train",
-                help: "Train and cross-validate: pairs, features -> models/, scores.parquet, ...",
-                inputs: &[
-                    A::Keyframes,
-                    A::Pairs,
-                    A::Features,
-                    A::FeatureStability,
-                    A::Poses,
-                    A::Registered,
-                    A::Candidates,
-                    A::Truth,
-                ],
-                outputs: &[A::Scores, A::Rounds, A::Retrieval, A::Grid, A::FeatureUsefulness],
-                options: train_options,
-            },
-            Self::Optimize => Spec {
+            _ => Spec {
                 name: "optimize",
                 help: "Choose closures: candidates -> closures.parquet, trajectory/LOG.tum, ...",
                 inputs: &[
@@ -180,7 +173,30 @@ impl Stage {
                     Ok(value)
                 },
             },
-            Self::Evaluate => Spec {
+        }
+    }
+
+    /// The stages that train and measure.
+    fn spec_of_models(self) -> Spec {
+        use Artifact as A;
+        match self {
+            Self::Train => Spec {
+                name: "train",
+                help: "Train and cross-validate: pairs, features -> models/, scores.parquet, ...",
+                inputs: &[
+                    A::Keyframes,
+                    A::Pairs,
+                    A::Features,
+                    A::FeatureStability,
+                    A::Poses,
+                    A::Registered,
+                    A::Candidates,
+                    A::Truth,
+                ],
+                outputs: &[A::Scores, A::Rounds, A::Retrieval, A::Grid, A::FeatureUsefulness],
+                options: train_options,
+            },
+            _ => Spec {
                 name: "evaluate",
                 help: "Measure and report: scores, closures -> evaluation/, report.html",
                 inputs: &[
