@@ -183,3 +183,21 @@ impl Finder<'_> {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The ranks by confidence are 2, 0, 3 and 1, so the sums are 2, 1, 5 and 4.
+    #[test]
+    fn places_are_ordered_by_the_sum_of_two_ranks() {
+        assert_eq!(rank_sums(&[0.4, 0.9, -0.5, 0.8]), [1, 0, 3, 2]);
+        assert!(rank_sums(&[]).is_empty());
+    }
+
+    /// Of equal sums, the more similar place comes first. The sums are 1, 1 and 4.
+    #[test]
+    fn equal_sums_of_ranks_stay_in_the_order_of_the_descriptors() {
+        assert_eq!(rank_sums(&[0.1, 0.2, 0.0]), [0, 1, 2]);
+    }
+}

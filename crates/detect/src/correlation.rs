@@ -276,3 +276,140 @@ fn blur_kernel() -> [[i16; 2 * BLUR_REACH + 1]; 2 * BLUR_REACH + 1] {
     let value = |a: usize, b: usize| libm::round(f64::from(UNIT) * BLUR_FACTOR * at(a) * at(b));
     std::array::from_fn(|a| std::array::from_fn(|b| value(a, b) as i16))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dataset::{Scan, SplitMix64};
+    use register::{Member, SubmapOptions};
+
+    /// A submap of a scan in a room of 10 m by 6 m, with a box at a random place.
+    fn submap(seed: u64) -> Submap {
+        let mut random = SplitMix64::new(seed);
+        let (x, y) = (1.0 + 3.0 * random.unit(), 2.0 * random.unit() - 1.0);
+        let mut scan = Scan { coverage_deg: 360.0, ..Scan::default() };
+        for k in 0..720 {
+            let (sin, cos) = libm::sincos(TAU * f64::from(k) / 720.0);
+            let to_x = (if cos > 0.0 { 5.5 } else { -4.5 }) / cos;
+            let to_y = (if sin > 0.0 { 2.0 } else { -4.0 }) / sin;
+            let behind_box = (sin * x - cos * y).abs() < 0.6 && 0.0 < cos * x + sin * y;
+            let to_box = if behind_box { libm::hypot(x, y) - 0.3 } else { f64::INFINITY };
+            let range_m = to_x.min(to_y).min(to_box);
+            scan.x_m.push((range_m * cos) as f32);
+            scan.y_m.push((range_m * sin) as f32);
+        }
+        let node_from_scan = Pose2 { x_m: 0.3, y_m: -0.2, heading_rad: 4.0 * random.unit() };
+        Submap::new(&[Member { node_from_scan, scan: &scan }], &SubmapOptions::default())
+    }
+
+    /// Blurred walls: three times a Gaussian filter of 0.7 squares, at most 1.
+    fn blurred(submap: &Submap, a: i64, b: i64) -> f64 {
+        let weight = |k: i64| libm::exp(-0.5 * (k as f64 / 0.7).powi(2));
+        let sum: f64 = (-3..=3).map(weight).sum();
+        let mut value = 0.0;
+        for (da, db) in (-3..=3).flat_map(|da| (-3..=3).map(move |db| (da, db))) {
+            let is_wall = at(submap, a + da, b + db) == Square::Occupied;
+            value += f64::from(u8::from(is_wall)) * weight(da) * weight(db) / (sum * sum);
+        }
+        (3.0 * value).min(1.0)
+    }
+
+    fn at(submap: &Submap, a: i64, b: i64) -> Square {
+        let n = submap.n_squares() as i64;
+        let is_inside = (0..n).contains(&a) && (0..n).contains(&b);
+        if is_inside { submap.squares()[(a * n + b) as usize] } else { Square::Unknown }
+    }
+
+    /// The squares of a kind, turned, as a set.
+    fn turned(submap: &Submap, kind: Square, heading: usize) -> Vec<(i64, i64)> {
+        let (sin, cos) = libm::sincos(TAU * heading as f64 / N_HEADINGS as f64);
+        let square = |v: f64| libm::floor(v / 0.4 + 64.0) as i64;
+        let mut squares: Vec<(i64, i64)> = submap
+            .centres(kind)
+            .map(|[x, y]| (square(cos * x - sin * y), square(sin * x + cos * y)))
+            .collect();
+        squares.sort_unstable();
+        squares.dedup();
+        squares
+    }
+
+    /// The blurred walls are rounded to 1 / 64, up to 25 times, so a wall counts within 0.05 of its value.
+    #[test]
+    fn scores_are_those_of_the_definition() {
+        let (a, b) = (submap(1), submap(2));
+        let (reference, query) = (Reference::new(&a), Query::new(&b));
+        let scores = Scores::new(&reference, &query);
+        let n_walls = query.n_walls() as f64;
+        let (mut best, mut best_direct) = ((i32::MIN, 0), (f64::MIN, 0));
+        for (k, &score) in scores.values.iter().enumerate() {
+            let (heading, x, y) = position(k);
+            // Every fifth heading, because the direct sums are slow.
+            if heading % 5 != 0 {
+                continue;
+            }
+            let (dx, dy) = (x as i64 - REACH as i64, y as i64 - REACH as i64);
+            let walls = turned(&b, Square::Occupied, heading);
+            let free = turned(&b, Square::Free, heading);
+            let on_walls: f64 = walls.iter().map(|(p, q)| blurred(&a, p + dx, q + dy)).sum();
+            let count = |squares: &[(i64, i64)], kind: Square| {
+                squares.iter().filter(|(p, q)| at(&a, p + dx, q + dy) == kind).count()
+            };
+            let n_conflicts = count(&walls, Square::Free) + count(&free, Square::Occupied);
+            let direct = on_walls - n_conflicts as f64;
+            let difference = f64::from(score) / f64::from(UNIT) - direct;
+            assert!(difference.abs() < 0.02 * n_walls, "{k}: {score} {direct}");
+            if best.0 < score {
+                best = (score, k);
+            }
+            if best_direct.0 < direct {
+                best_direct = (direct, k);
+            }
+        }
+        assert_eq!(best.1, best_direct.1);
+    }
+
+    /// A submap on itself: each wall lies on a wall, nothing is in free space.
+    #[test]
+    fn a_submap_fits_itself_best() {
+        let submap = submap(3);
+        let (reference, query) = (Reference::new(&submap), Query::new(&submap));
+        let peaks = Scores::new(&reference, &query).peaks(3);
+        assert_eq!(peaks[0].pose, Pose2::default());
+        let share = f64::from(peaks[0].score) / f64::from(UNIT) / query.n_walls() as f64;
+        assert!((0.9..=1.0).contains(&share), "{share}");
+        assert!(peaks[1].score < peaks[0].score && peaks[2].score <= peaks[1].score);
+    }
+
+    /// The best score is at heading 0, where scores at 355 deg and 1.2 m away belong to the same peak. At
+    /// 20 deg and at 1.6 m, they do not.
+    #[test]
+    fn peaks_are_15_deg_or_1_2_m_apart() {
+        let mut values = vec![0; N_HEADINGS * N_SHIFTS * N_SHIFTS];
+        let k = |heading: usize, x: usize, y: usize| (heading * N_SHIFTS + x) * N_SHIFTS + y;
+        for (at, score) in [
+            (k(0, 8, 8), 100),
+            (k(71, 8, 11), 99),
+            (k(69, 10, 10), 98),
+            (k(4, 8, 8), 97),
+            (k(0, 8, 12), 96),
+            (k(4, 9, 9), 95),
+        ] {
+            values[at] = score;
+        }
+        let peaks = Scores { values, square_m: 0.4 }.peaks(3);
+        let found: Vec<i32> = peaks.iter().map(|peak| peak.score).collect();
+        assert_eq!(found, [100, 97, 96]);
+        let second = peaks[1].pose;
+        assert!((second.heading_rad - 20f64.to_radians()).abs() < 1e-12);
+        assert_eq!((second.x_m, second.y_m), (0.0, 0.0));
+        assert!((peaks[2].pose.y_m - 1.6).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_blurred_wall_is_at_most_one() {
+        let kernel = blur_kernel();
+        // 192 / (1 + 2 exp(-1 / 0.98) + 2 exp(-4 / 0.98) + ..)^2 = 192 * 0.5698^2 = 62.3.
+        assert_eq!(kernel[2][2], 62);
+        assert_eq!((kernel[2][1], kernel[1][1], kernel[0][0]), (22, 8, 0));
+    }
+}

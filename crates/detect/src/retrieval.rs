@@ -256,3 +256,93 @@ impl Shortlist {
         self.entries.into_iter().map(|(_, reference)| reference as usize)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dataset::SplitMix64;
+
+    /// All distances in f64, sorted by distance and index.
+    fn exhaustive(
+        descriptors: &Descriptors,
+        k: usize,
+        n_references: &[usize],
+    ) -> Vec<Vec<Similar>> {
+        (0..descriptors.n())
+            .map(|query| {
+                let mut similar: Vec<Similar> = (0..n_references[query])
+                    .map(|reference| Similar {
+                        reference,
+                        distance_squared: descriptors.distance_squared(query, reference),
+                    })
+                    .collect();
+                similar.sort_by(|a, b| {
+                    let by_distance = a.distance_squared.total_cmp(&b.distance_squared);
+                    by_distance.then(a.reference.cmp(&b.reference))
+                });
+                similar.truncate(k);
+                similar
+            })
+            .collect()
+    }
+
+    fn random_rows(n: usize, len: usize) -> Vec<Vec<f32>> {
+        let mut random = SplitMix64::new(11);
+        (0..n).map(|_| (0..len).map(|_| random.unit() as f32).collect()).collect()
+    }
+
+    fn check(rows: &[Vec<f32>], k: usize, n_references: &[usize]) {
+        let descriptors = Descriptors::new(rows);
+        let found = descriptors.most_similar(k, n_references);
+        assert_eq!(found, exhaustive(&descriptors, k, n_references));
+    }
+
+    #[test]
+    fn the_search_equals_an_exhaustive_search() {
+        let n = 1100usize;
+        let earlier: Vec<usize> = (0..n).map(|q| q.saturating_sub(30)).collect();
+        for k in [0, 1, 5, 50, 2000] {
+            check(&random_rows(n, 40), k, &earlier);
+        }
+        check(&random_rows(n, 40), 3, &vec![n; n]);
+        check(&random_rows(3, 1), 3, &[0, 1, 3]);
+        check(&[], 3, &[]);
+    }
+
+    /// Every row is there three times, and a fourth time with a difference far below the rounding error of
+    /// a product in f32.
+    #[test]
+    fn equal_distances_are_ordered_by_index_and_small_differences_count() {
+        let mut rows = random_rows(300, 60);
+        let first = rows.clone();
+        rows.extend(first.clone());
+        rows.extend(first.clone());
+        rows.extend(first.into_iter().map(|mut row| {
+            row[7] *= 1.0 + 4.0 * f32::EPSILON;
+            row
+        }));
+        let n = rows.len();
+        for k in [1, 2, 3, 7] {
+            check(&rows, k, &vec![n; n]);
+        }
+        let found = Descriptors::new(&rows).most_similar(3, &vec![900; n]);
+        let references: Vec<usize> = found[5].iter().map(|s| s.reference).collect();
+        assert_eq!(references, [5, 305, 605]);
+        // All rows are the same.
+        check(&vec![vec![0.1; 8]; 700], 4, &vec![700; 700]);
+    }
+
+    /// Column 0 has mean 2 and standard deviation 1. Column 1 is constant.
+    #[test]
+    fn numbers_are_scaled_and_constant_numbers_become_0() {
+        let descriptors =
+            Descriptors::new(&[vec![1.0, 0.1], vec![3.0, 0.1], vec![3.0, 0.1], vec![1.0, 0.1]]);
+        assert_eq!(descriptors.values, [-1.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0]);
+        let found = descriptors.most_similar(2, &[0, 1, 2, 3]);
+        let of_last = [
+            Similar { reference: 0, distance_squared: 0.0 },
+            Similar { reference: 1, distance_squared: 4.0 },
+        ];
+        assert_eq!(found[3], of_last);
+    }
+}
