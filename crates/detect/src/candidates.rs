@@ -9,7 +9,7 @@ use register::{AlignOptions, Drive, Fit, fit, fit_options};
 use crate::correlation::{Peak, Query, Reference, Scores, UNIT};
 use crate::descriptor::Describer;
 use crate::places::Places;
-use crate::retrieval::Descriptors;
+use crate::retrieval::{Descriptors, Similar};
 use crate::uncertainty::covariance;
 
 /// Two places that may be the same.
@@ -27,7 +27,7 @@ pub struct Candidate {
     pub evidence: Evidence,
     /// Confidence that the pose is right, 0 to 1.
     pub confidence: f64,
-    /// Rank of the reference among the places that are most similar to the query, from 0.
+    /// Rank of the reference among the places that correlate best with the query, from 0.
     pub rank: u32,
 }
 
@@ -36,8 +36,10 @@ pub type Classify<'a> = &'a (dyn Fn(usize, usize) -> f64 + Sync);
 
 /// Relative poses of a pair of places that are aligned.
 const N_POSES: usize = 3;
-/// The classifier ranks this many times as many places as are compared.
-const SHORTLIST_FACTOR: usize = 4;
+/// For each candidate, this many places are compared by correlation.
+const CORRELATED_PER_CANDIDATE: usize = 4;
+/// For each place compared by correlation, this many are ranked by the classifier.
+const RANKED_PER_CORRELATED: usize = 2;
 /// The first gate of the alignment \[m\]: two squares of the submaps.
 const FIRST_GATE_M: f64 = 0.8;
 /// The most iterations of the alignment.
@@ -47,13 +49,14 @@ const MAX_ITERATIONS: u32 = 20;
 /// least `min_path_m` of path before it; for each of these, relative poses by correlation, aligned and
 /// checked in both directions. At most one candidate per pair of places.
 ///
-/// - The `detector.n_candidates` places with the nearest descriptors are compared. With a classifier, four
-///   times as many are ranked by it too, and those with the smallest sum of the two ranks are compared
-///   (Borda count). So neither of the two needs a threshold or a scale.
-/// - The best pose by correlation and up to two others with at least half of its score are aligned. The
-///   one with the largest overlap minus conflict counts.
-/// - [`Evidence::margin`] is the score of the best minus that of the second-best pose by correlation, divided
-///   by the number of walls of the submap that has fewer.
+/// 1. The places with the nearest descriptors, four times `detector.n_candidates`, are compared by
+///    correlation. With a classifier, twice as many are ranked by it too, and those with the smallest sum
+///    of the two ranks are compared (Borda count). So neither of the two needs a threshold or a scale.
+/// 2. The `detector.n_candidates` places with the largest score plus margin are kept. The score is that of
+///    the best pose, the margin ([`Evidence::margin`]) its difference from the second-best pose, both
+///    divided by the number of walls of the submap that has fewer.
+/// 3. The best pose and up to two others with at least half of its score are aligned. The one with the
+///    largest overlap minus conflict counts, each over all points plus over the points in known space.
 ///
 /// The candidates are in the order of the places, and of the ranks within a place. A pair without walls in
 /// common gives no candidate.
@@ -90,12 +93,11 @@ fn similar_places(
     let path_m: Vec<f64> = places.scans.iter().map(|&k| drive.path_m[k]).collect();
     let n_references: Vec<usize> =
         path_m.iter().map(|&q| path_m.partition_point(|&r| min_path_m <= q - r)).collect();
-    let n = detector.n_candidates as usize;
-    let n_ranked = if classify.is_some() { SHORTLIST_FACTOR * n } else { n };
+    let n = CORRELATED_PER_CANDIDATE * detector.n_candidates as usize;
+    let n_ranked = if classify.is_some() { RANKED_PER_CORRELATED * n } else { n };
     let similar = Descriptors::new(rows).most_similar(n_ranked, &n_references);
     let order = |(query, similar): (usize, Vec<_>)| {
-        let by_descriptor: Vec<usize> =
-            similar.into_iter().map(|s: crate::retrieval::Similar| s.reference).collect();
+        let by_descriptor: Vec<usize> = similar.into_iter().map(|s: Similar| s.reference).collect();
         let mut ranked = match classify {
             Some(classify) => {
                 let confidence = |&r: &usize| classify(places.scans[query], places.scans[r]);
@@ -132,6 +134,17 @@ struct Finder<'a> {
     options: AlignOptions,
 }
 
+/// A pair of places compared by correlation.
+struct Correlated {
+    reference: usize,
+    /// The best poses.
+    peaks: Vec<Peak>,
+    /// Best score per wall.
+    score: f64,
+    /// See [`Evidence::margin`].
+    margin: f64,
+}
+
 impl Finder<'_> {
     /// The candidates of a place.
     fn candidates(&self, query: usize, references: &[usize]) -> Vec<Candidate> {
@@ -139,36 +152,49 @@ impl Finder<'_> {
             return Vec::new();
         }
         let turned = Query::new(self.places.nodes[query].submap());
-        let candidate = |(rank, &reference)| self.candidate(query, &turned, reference, rank);
-        (0u32..).zip(references).filter_map(candidate).collect()
+        let correlate = |&reference: &usize| self.correlate(&turned, reference);
+        let mut correlated: Vec<Correlated> = references.iter().filter_map(correlate).collect();
+        // Stable: of equal values, the more similar place comes first.
+        correlated.sort_by(|a, b| (b.score + b.margin).total_cmp(&(a.score + a.margin)));
+        correlated.truncate(self.detector.n_candidates as usize);
+        let candidate = |(rank, correlated)| self.candidate(query, correlated, rank);
+        (0u32..).zip(&correlated).filter_map(candidate).collect()
     }
 
-    fn candidate(
-        &self,
-        query: usize,
-        turned: &Query,
-        reference: usize,
-        rank: u32,
-    ) -> Option<Candidate> {
-        let (a, b) = (&self.places.nodes[reference], &self.places.nodes[query]);
-        let map = Reference::new(a.submap());
-        let n_walls = map.n_walls().min(turned.n_walls());
+    /// `None` if no pose puts more walls onto walls than into free space.
+    fn correlate(&self, turned: &Query, reference: usize) -> Option<Correlated> {
+        let map = Reference::new(self.places.nodes[reference].submap());
         let peaks = Scores::new(&map, turned).peaks(N_POSES);
-        let best = peaks.first().filter(|best| 0 < n_walls && 0 < best.score)?;
+        let best = peaks.first().filter(|best| 0 < best.score)?.score;
+        let second = peaks.get(1).map_or(0, |peak| peak.score);
+        // Without a wall, there is no score above 0.
+        let n_walls = map.n_walls().min(turned.n_walls()).max(1) as f64;
+        let per_wall = |score: i32| f64::from(score) / f64::from(UNIT) / n_walls;
+        Some(Correlated {
+            reference,
+            peaks,
+            score: per_wall(best),
+            margin: per_wall(best - second),
+        })
+    }
+
+    fn candidate(&self, query: usize, correlated: &Correlated, rank: u32) -> Option<Candidate> {
+        let (a, b) = (&self.places.nodes[correlated.reference], &self.places.nodes[query]);
+        let best = correlated.peaks.first()?;
         let is_aligned = |peak: &&Peak| best.score <= 2 * peak.score;
-        let fits = peaks.iter().filter(is_aligned).map(|peak| fit(a, b, &peak.pose, &self.options));
+        let starts = correlated.peaks.iter().filter(is_aligned);
+        let fits = starts.map(|peak| fit(a, b, &peak.pose, &self.options));
         // Of equal fits, the one with the higher score.
-        let value = |fit: &Fit| fit.overlap - fit.conflict;
         let fit =
             fits.reduce(|best, next| if value(&best) < value(&next) { next } else { best })?;
-        let second = peaks.get(1).map_or(0, |peak| peak.score);
-        let (query, reference) = (self.places.scans[query], self.places.scans[reference]);
+        let (query, reference) =
+            (self.places.scans[query], self.places.scans[correlated.reference]);
         let evidence = Evidence {
             overlap: fit.overlap,
             known_overlap: fit.known_overlap,
             n_known: fit.n_known as u32,
             conflict: fit.known_conflict(),
-            margin: f64::from(best.score - second) / f64::from(UNIT) / n_walls as f64,
+            margin: correlated.margin,
             weakness: fit.alignment.weakness().map_or(0.0, |weakness| weakness.ratio),
             classifier: self.classify.map(|classify| classify(query, reference)),
         };
@@ -182,6 +208,13 @@ impl Finder<'_> {
             rank,
         })
     }
+}
+
+/// Overlap minus conflict, over all points plus over the points in known space. Two passes in opposite
+/// directions with a view of 180 deg share a small part of their points, and only the second term shows
+/// that this part agrees.
+fn value(fit: &Fit) -> f64 {
+    fit.overlap - fit.conflict + fit.known_overlap - fit.known_conflict()
 }
 
 #[cfg(test)]

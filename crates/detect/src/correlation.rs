@@ -16,7 +16,7 @@ pub(crate) const UNIT: i32 = 64;
 /// Another pose differs by more than this many headings (15 deg) ...
 const OTHER_HEADINGS: usize = 3;
 /// ... or is farther away than this many squares (1.2 m).
-const OTHER_SQUARES: i64 = 3;
+const OTHER_SQUARES: usize = 3;
 /// Standard deviation of the blur of the walls \[squares\], and its factor: a wall one square away counts
 /// about 0.6.
 const BLUR_SQUARES: f64 = 0.7;
@@ -162,17 +162,7 @@ impl Turned {
 impl Scores {
     /// The scores of a query on a reference.
     pub(crate) fn new(reference: &Reference, query: &Query) -> Self {
-        let mut values = Vec::with_capacity(N_HEADINGS * N_SHIFTS * N_SHIFTS);
-        for turned in &query.headings {
-            for shift in 0..N_SHIFTS {
-                let on_walls = sum_values(reference, turned, shift);
-                let in_free = sum_free(reference, turned, shift, query.n);
-                // The lane k of `in_free` is the shift 2 REACH - k.
-                let score = |k: usize| on_walls[k] - UNIT * in_free[2 * REACH - k];
-                values.extend((0..N_SHIFTS).map(score));
-            }
-        }
-        Self { values, square_m: query.square_m }
+        Self { values: all_scores(reference, query), square_m: query.square_m }
     }
 
     /// The poses with the highest scores: the best one, then the best one elsewhere (more than 15 deg or
@@ -181,33 +171,65 @@ impl Scores {
     pub(crate) fn peaks(mut self, n: usize) -> Vec<Peak> {
         let mut peaks = Vec::with_capacity(n);
         for _ in 0..n {
-            let mut best = (i32::MIN, 0);
-            for (k, &score) in self.values.iter().enumerate() {
-                if best.0 < score {
-                    best = (score, k);
-                }
-            }
-            let (score, at) = best;
-            if score == i32::MIN {
-                break;
-            }
+            let score = self.values.iter().copied().max().unwrap_or(i32::MIN);
+            let at = self.values.iter().position(|&value| value == score);
+            let Some(at) = at.filter(|_| i32::MIN < score) else { break };
             let (heading, x, y) = position(at);
             let metres = |shift: usize| (shift as f64 - REACH as f64) * self.square_m;
             let pose = Pose2 { x_m: metres(x), y_m: metres(y), heading_rad: heading_rad(heading) };
             peaks.push(Peak { score, pose });
-            for (k, value) in self.values.iter_mut().enumerate() {
-                let (other_heading, other_x, other_y) = position(k);
-                let turn = heading.abs_diff(other_heading);
-                let (dx, dy) = (x as i64 - other_x as i64, y as i64 - other_y as i64);
-                let is_same = turn.min(N_HEADINGS - turn) <= OTHER_HEADINGS
-                    && dx * dx + dy * dy <= OTHER_SQUARES * OTHER_SQUARES;
-                if is_same {
-                    *value = i32::MIN;
-                }
-            }
+            self.remove_around(heading, x, y);
         }
         peaks
     }
+
+    /// Removes the scores of a peak.
+    fn remove_around(&mut self, heading: usize, x: usize, y: usize) {
+        let around =
+            |v: usize| v.saturating_sub(OTHER_SQUARES)..(v + OTHER_SQUARES + 1).min(N_SHIFTS);
+        for turn in 0..=2 * OTHER_HEADINGS {
+            let heading = (heading + N_HEADINGS + turn - OTHER_HEADINGS) % N_HEADINGS;
+            for other_x in around(x) {
+                for other_y in around(y) {
+                    let (dx, dy) = (x.abs_diff(other_x), y.abs_diff(other_y));
+                    if dx * dx + dy * dy <= OTHER_SQUARES * OTHER_SQUARES {
+                        self.values[(heading * N_SHIFTS + other_x) * N_SHIFTS + other_y] = i32::MIN;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// All scores, with wider registers if the processor has them. Sums of integers do not depend on it.
+fn all_scores(reference: &Reference, query: &Query) -> Vec<i32> {
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") {
+        // SAFETY: the processor has AVX2.
+        return unsafe { all_scores_avx2(reference, query) };
+    }
+    sum_all(reference, query)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn all_scores_avx2(reference: &Reference, query: &Query) -> Vec<i32> {
+    sum_all(reference, query)
+}
+
+#[inline(always)]
+fn sum_all(reference: &Reference, query: &Query) -> Vec<i32> {
+    let mut values = Vec::with_capacity(N_HEADINGS * N_SHIFTS * N_SHIFTS);
+    for turned in &query.headings {
+        for shift in 0..N_SHIFTS {
+            let on_walls = sum_values(reference, turned, shift);
+            let in_free = sum_free(reference, turned, shift, query.n);
+            // The lane k of `in_free` is the shift 2 REACH - k.
+            let score = |k: usize| on_walls[k] - UNIT * in_free[2 * REACH - k];
+            values.extend((0..N_SHIFTS).map(score));
+        }
+    }
+    values
 }
 
 /// Heading, shift along x and shift along y of a score.
@@ -220,15 +242,17 @@ fn heading_rad(k: usize) -> f64 {
 }
 
 /// The values of the reference at the walls of the query, for a shift along x and all shifts along y.
+#[inline(always)]
 fn sum_values(reference: &Reference, turned: &Turned, shift: usize) -> [i32; LANES] {
     let mut sums = [0i32; LANES];
     for walls in turned.walls.chunks(MAX_VALUES) {
         let mut short = [0i16; LANES];
         for &[a, b] in walls {
             let at = (a as usize + shift) * reference.stride + b as usize;
-            let values = &reference.values[at..at + LANES];
-            for (sum, value) in short.iter_mut().zip(values) {
-                *sum += value;
+            // The margin has room for all lanes.
+            let Some(values) = reference.values[at..].first_chunk::<LANES>() else { break };
+            for k in 0..LANES {
+                short[k] += values[k];
             }
         }
         for (sum, short) in sums.iter_mut().zip(short) {
@@ -240,6 +264,7 @@ fn sum_values(reference: &Reference, turned: &Turned, shift: usize) -> [i32; LAN
 
 /// The walls of the reference in the free space of the query, for a shift along x and all shifts along y
 /// in descending order.
+#[inline(always)]
 fn sum_free(reference: &Reference, turned: &Turned, shift: usize, n: usize) -> [i32; FREE_LANES] {
     let stride = n + FREE_LANES;
     let mut sums = [0i32; FREE_LANES];
@@ -248,9 +273,10 @@ fn sum_free(reference: &Reference, turned: &Turned, shift: usize, n: usize) -> [
         for &[a, b] in walls {
             // The square of the query that the shift moves to the wall.
             let at = (a as usize + 2 * REACH - shift) * stride + b as usize;
-            let free = &turned.free[at..at + FREE_LANES];
-            for (sum, value) in short.iter_mut().zip(free) {
-                *sum += value;
+            // The margin has room for all lanes.
+            let Some(free) = turned.free[at..].first_chunk::<FREE_LANES>() else { break };
+            for k in 0..FREE_LANES {
+                short[k] += free[k];
             }
         }
         for (sum, short) in sums.iter_mut().zip(short) {
@@ -366,6 +392,12 @@ mod tests {
             }
         }
         assert_eq!(best.1, best_direct.1);
+    }
+
+    #[test]
+    fn wider_registers_give_the_same_scores() {
+        let (reference, query) = (Reference::new(&submap(1)), Query::new(&submap(4)));
+        assert_eq!(all_scores(&reference, &query), sum_all(&reference, &query));
     }
 
     /// A submap on itself: each wall lies on a wall, nothing is in free space.

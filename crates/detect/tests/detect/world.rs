@@ -46,23 +46,26 @@ impl World {
         world
     }
 
-    /// A corridor along x from 0 to `length_m`, 2.4 m wide, with niches and columns in irregular distances on
-    /// both sides.
-    pub fn corridor(length_m: f64, seed: u64) -> Self {
+    /// A hall along x from 0 to `length_m`, with niches and columns in irregular distances on both sides.
+    pub fn hall(length_m: f64, half_width_m: f64, seed: u64) -> Self {
         let mut random = SplitMix64::new(seed);
-        let mut world = Self(vec![[[0.0, -1.2], [0.0, 1.2]], [[length_m, -1.2], [length_m, 1.2]]]);
-        for side in [-1.2, 1.2] {
+        let end = |x_m: f64| [[x_m, -half_width_m], [x_m, half_width_m]];
+        let mut world = Self(vec![end(0.0), end(length_m)]);
+        for side in [-half_width_m, half_width_m] {
             let mut x_m = 0.0;
             while x_m < length_m {
                 let next_m = (x_m + 0.8 + 2.5 * random.unit()).min(length_m);
-                let depth = if random.unit() < 0.5 { 1.0 } else { 1.0 + random.unit() };
-                let y_m = side * depth;
+                let depth_m = if random.unit() < 0.5 { 0.0 } else { random.unit() };
+                let y_m = side + depth_m * side.signum();
                 world.0.push([[x_m, y_m], [next_m, y_m]]);
                 world.0.push([[x_m, side], [x_m, y_m]]);
                 world.0.push([[next_m, side], [next_m, y_m]]);
                 if random.unit() < 0.4 {
                     let middle_m = (x_m + next_m) / 2.0;
-                    world.add_rectangle([middle_m, y_m - 0.1 * side], [middle_m + 0.3, y_m]);
+                    world.add_rectangle(
+                        [middle_m, y_m - 0.3 * side.signum()],
+                        [middle_m + 0.3, y_m],
+                    );
                 }
                 x_m = next_m;
             }
