@@ -1,12 +1,13 @@
 //! `detect`: places of a drive that may be the same.
 //!
 //! ```text
-//! Drive ──Places──► nodes (points, submap) ──Describer──► descriptors ──Descriptors──► similar places
-//!                     │                                                                     │
-//!                     │            classifier (optional) ──────────── re-rank ◄─────────────┘
-//!                     │                                                  │
-//!                     └──────── correlation ──► up to 3 poses ◄──────────┘
-//!                                                    └──register::fit──► Candidate
+//! Drive ──Places──► nodes ──Describer──► descriptors ──Descriptors──► places with similar descriptors
+//!                   (points,                                              │ (classifier, optional)
+//!                   submaps) ──────────── correlation of submaps ◄────────┘
+//!                     │                             │
+//!                     │                     best places, poses
+//!                     └──────── register::fit ◄─────┘
+//!                                     └──► Candidate: pose, covariance, evidence, confidence
 //! ```
 //!
 //! [`Places`] joins the scans of a few metres of path into one node, because single scans of different

@@ -125,14 +125,16 @@ fn the_covariance_of_a_bare_corridor_is_large_along_it() {
     assert!((found.reference_from_query.y_m - expected_m).abs() < 0.03, "{found:?}");
 }
 
-/// In a room, the least standard deviations of the detector count: 0.12 m and 2 deg.
+/// In a room, the points determine the pose within millimetres, so nearly all of the covariance is that of
+/// the detector: 0.12 m and 2 deg.
 #[test]
-fn the_covariance_of_a_room_is_at_least_that_of_the_detector() {
+fn the_covariance_of_a_room_is_little_more_than_that_of_the_detector() {
     let world = World::room();
     let at = pose(0.0, 0.0, 0.0);
     let covariance = candidate((&world, at), (&world, at), 360).unwrap().covariance;
-    assert!((covariance[(0, 0)].sqrt() - 0.12).abs() < 1e-12, "{covariance}");
-    assert!((covariance[(2, 2)].sqrt() - 2f64.to_radians()).abs() < 1e-12, "{covariance}");
+    let std = [0, 1, 2].map(|k| covariance[(k, k)].sqrt());
+    assert!((0.12..0.122).contains(&std[0]) && (0.12..0.122).contains(&std[1]), "{std:?}");
+    assert!((2f64..2.1).contains(&std[2].to_degrees()), "{std:?}");
     assert!(covariance.cholesky().is_some());
 }
 
