@@ -226,13 +226,13 @@ mod tests {
         let poses = (0..20).map(|k| StampedPose::new(k as i64 * SECOND, measured(k))).collect();
         let truth = Truth::new(&Trajectory::new(poses).0, &scans);
         assert_eq!(truth.n_doubtful(), 3);
-        for k in 0..20 {
-            let found = truth.at(scans[k].stamp_ns).unwrap();
+        for (k, &ScanPoses { stamp_ns, .. }) in scans.iter().enumerate() {
+            let found = truth.at(stamp_ns).unwrap();
             let is_doubtful = [4, 5, 12].contains(&k);
             let expected = if is_doubtful { on_line(k) } else { measured(k) };
             assert!(is_near(found.pose, expected) && found.is_measured != is_doubtful, "{k}");
-            assert_eq!(truth.measured_at(scans[k].stamp_ns), Some(measured(k)));
-            assert_eq!(truth.with_doubtful().at(scans[k].stamp_ns).unwrap().pose, measured(k));
+            assert_eq!(truth.measured_at(stamp_ns), Some(measured(k)));
+            assert_eq!(truth.with_doubtful().at(stamp_ns).unwrap().pose, measured(k));
         }
     }
 }

@@ -198,7 +198,7 @@ fn candidate_curve(measures: &[DriveMeasures]) -> Option<Chart> {
                 .map(|p| (p.confusion.recall(), p.confusion.precision().unwrap_or(1.0)))
                 .filter(|(recall, _)| recall.is_finite())
                 .collect();
-            (!points.is_empty()).then(|| (m, points))
+            (!points.is_empty()).then_some((m, points))
         })
         .take(super::svg::N_STYLES)
         .enumerate()
