@@ -6,8 +6,11 @@ use dataset::{Pose2, StampedPose, Trajectory};
 
 use super::input::ScanPoses;
 
-/// Between two true poses at most this far apart, the truth is interpolated \[ns\]. At 2 m/s, a change of
-/// speed by 1 m/s^2 moves the middle of 0.25 s by 8 mm.
+/// Between two true poses at most this far apart, the truth is interpolated, if the median distance of
+/// true poses is not more \[ns\]. With an acceleration of 1 m/s^2, the middle of 0.25 s is off by 8 mm.
+///
+/// Truth with a larger median is sparse: poses that are near in time are then an exception, and often
+/// the stamps are wrong.
 pub const MAX_INTERPOLATION_NS: i64 = 250_000_000;
 /// The truth is carried along the optimized trajectory over at most this time \[ns\].
 pub const MAX_CARRY_NS: i64 = 4_000_000_000;
@@ -21,9 +24,6 @@ pub const DOUBTFUL_DEG: f64 = 5.0;
 const MAX_STEP_M: f64 = 5.0;
 /// Most doubtful true poses in a row. More would be a stretch of its own.
 const MAX_DOUBTFUL: usize = 5;
-/// Two registered scans farther apart give no scan-matched pose in between \[ns\]. A robot that stands
-/// still registers no scans.
-const MAX_REGISTERED_GAP_NS: i64 = 10_000_000_000;
 /// Two scans farther apart give no optimized pose in between \[ns\].
 const MAX_SCAN_GAP_NS: i64 = 2_000_000_000;
 
@@ -47,6 +47,8 @@ pub struct Truth {
     trusted: Trajectory,
     /// The optimized trajectory.
     optimized: Trajectory,
+    /// Longest time between two true poses for an interpolation \[ns\]; 0 if the truth is sparse.
+    max_gap_ns: i64,
 }
 
 impl Truth {
@@ -63,13 +65,12 @@ impl Truth {
             truth.poses().iter().filter(|p| p.frame == frame).copied().collect();
         let trajectory = |poses: Vec<StampedPose>| Trajectory::new(poses).0;
         let optimized = scans.iter().map(|s| StampedPose::new(s.stamp_ns, s.optimized));
-        let matched =
-            scans.iter().filter_map(|s| Some(StampedPose::new(s.stamp_ns, s.scan_matched?)));
-        let doubtful = doubtful(&of_frame, &trajectory(matched.collect()));
+        let doubtful = doubtful(&of_frame, &trajectory(matched_at_every_scan(scans)));
         let trusted = of_frame.iter().zip(doubtful).filter(|(_, doubtful)| !doubtful);
         Self {
             trusted: trajectory(trusted.map(|(pose, _)| *pose).collect()),
             optimized: trajectory(optimized.collect()),
+            max_gap_ns: max_gap_ns(&of_frame),
             poses: trajectory(of_frame),
         }
     }
@@ -87,12 +88,12 @@ impl Truth {
 
     /// The truth at a stamp, if it is measured there, doubtful or not. See [`TruePose::is_measured`].
     pub fn measured_at(&self, stamp_ns: i64) -> Option<Pose2> {
-        self.poses.pose_at(stamp_ns, MAX_INTERPOLATION_NS).ok()
+        self.poses.pose_at(stamp_ns, self.max_gap_ns).ok()
     }
 
     /// The truth at the stamp of a scan, by the true poses that are not doubtful.
     pub fn at(&self, stamp_ns: i64) -> Option<TruePose> {
-        if let Ok(pose) = self.trusted.pose_at(stamp_ns, MAX_INTERPOLATION_NS) {
+        if let Ok(pose) = self.trusted.pose_at(stamp_ns, self.max_gap_ns) {
             return Some(TruePose { pose, is_measured: true });
         }
         let nearest = self.nearest(stamp_ns)?;
@@ -113,12 +114,38 @@ impl Truth {
     }
 }
 
+/// [`MAX_INTERPOLATION_NS`], or 0 if the truth is sparse.
+fn max_gap_ns(truth: &[StampedPose]) -> i64 {
+    let mut gaps: Vec<i64> =
+        truth.windows(2).map(|w| w[1].stamp_ns.saturating_sub(w[0].stamp_ns)).collect();
+    gaps.sort_unstable();
+    match gaps.get(gaps.len() / 2) {
+        Some(&median) if median <= MAX_INTERPOLATION_NS => MAX_INTERPOLATION_NS,
+        _ => 0,
+    }
+}
+
+/// The poses by scan matching at all scans. Since the last registered scan, the robot has moved by a
+/// few decimetres at most: this step is taken from the optimized trajectory.
+fn matched_at_every_scan(scans: &[ScanPoses]) -> Vec<StampedPose> {
+    let mut last: Option<(Pose2, Pose2)> = None;
+    let matched = scans.iter().filter_map(|scan| {
+        if let Some(matched) = scan.scan_matched {
+            last = Some((matched, scan.optimized));
+        }
+        let (matched, optimized) = last?;
+        let pose = matched * (optimized.inverse() * scan.optimized);
+        Some(StampedPose::new(scan.stamp_ns, pose))
+    });
+    matched.collect()
+}
+
 /// Which true poses are doubtful: the step to them contradicts scan matching, and without them the
 /// truth before and after agrees with it.
 fn doubtful(truth: &[StampedPose], matched: &Trajectory) -> Vec<bool> {
     let agrees = |a: usize, b: usize| -> Option<bool> {
         let (a, b) = (&truth[a], &truth[b]);
-        let matched = |of: &StampedPose| matched.pose_at(of.stamp_ns, MAX_REGISTERED_GAP_NS).ok();
+        let matched = |of: &StampedPose| matched.pose_at(of.stamp_ns, MAX_SCAN_GAP_NS).ok();
         let (from, to) = (matched(a)?, matched(b)?);
         if MAX_STEP_M < a.pose.distance_m(&b.pose) || a.segment != b.segment {
             return None;
@@ -192,6 +219,16 @@ mod tests {
         assert_eq!(truth.measured_at(20 * ms), None);
     }
 
+    /// Two poses 0.1 s apart in a truth with a pose each second: nothing is interpolated.
+    #[test]
+    fn sparse_truth_is_not_interpolated() {
+        let pose = |stamp_ns| StampedPose::new(stamp_ns, at(1.0, 0.0, 0.0));
+        let stamps = [0, SECOND, 2 * SECOND, 2 * SECOND + SECOND / 10, 3 * SECOND, 4 * SECOND];
+        let truth = Truth::new(&Trajectory::new(stamps.map(pose).into()).0, &[]);
+        assert_eq!(truth.measured_at(2 * SECOND + SECOND / 20), None);
+        assert!(truth.measured_at(2 * SECOND + SECOND / 10).is_some());
+    }
+
     /// Two poses 0.2 s apart: the middle is measured. In another frame there is only one pose.
     #[test]
     fn dense_truth_is_interpolated_in_its_main_frame() {
@@ -206,14 +243,15 @@ mod tests {
         assert_eq!(truth.measured_at(2 * SECOND), None);
     }
 
-    /// A true pose each second while the robot drives 1 m/s along x. Those at 4 and 5 s are turned by
+    /// A true pose each second while the robot drives 1 m/s along x, and every other scan is registered.
+    /// Those at 4 and 5 s are turned by
     /// 11 deg, and that at 12 s is 0.6 m to the left. From 16 s on, the truth jumps by 2 m for good.
     #[test]
     fn true_poses_that_contradict_scan_matching_are_doubtful() {
         let on_line = |k: usize| at(k as f64, 0.0, 0.0);
         let scans: Vec<ScanPoses> = (0..20)
             .map(|k| ScanPoses {
-                scan_matched: Some(on_line(k)),
+                scan_matched: (k % 2 == 0).then(|| on_line(k)),
                 ..scan(k as i64 * SECOND, on_line(k))
             })
             .collect();
