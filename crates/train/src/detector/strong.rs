@@ -1,5 +1,7 @@
 //! The evidence that one closure of a group must have.
 
+use std::cmp::Ordering;
+
 use model::{Detector, DetectorPart, StrongLimits};
 
 use super::{Judged, NotFitted};
@@ -40,13 +42,11 @@ pub(super) fn fit(logs: &[Vec<Judged<'_>>]) -> Result<StrongLimits, NotFitted> {
     let best = choices
         .into_iter()
         .filter(|choice| choice.n_wrong <= fewest_wrong)
-        // Of equal shares, the first one: the laxest.
-        .reduce(|best, next| if best.share < next.share { next } else { best });
+        .reduce(|best, next| if best.compare(&next).is_lt() { next } else { best });
     Ok(best.map_or_else(|| Detector::starting_values().strong, |choice| choice.limits))
 }
 
-/// All limits that are considered, in the order of the known overlap, then of the conflict, the laxest
-/// first.
+/// All limits that are considered.
 fn limits() -> impl Iterator<Item = StrongLimits> {
     let start = Detector::starting_values().strong;
     // Multiples of 0.01 as the nearest number to what is written, such as 0.57.
@@ -54,7 +54,7 @@ fn limits() -> impl Iterator<Item = StrongLimits> {
     let [least, most] = [start.known_overlap, 0.98].map(|v| (v / STEP).round() as i32);
     let conflicts = (start.conflict / STEP).round() as i32;
     (least..=most).flat_map(move |k| {
-        (1..=conflicts).rev().map(move |c| StrongLimits {
+        (1..=conflicts).map(move |c| StrongLimits {
             known_overlap: multiple(f64::from(k)),
             conflict: multiple(f64::from(c)),
         })
@@ -70,6 +70,14 @@ struct Choice {
 }
 
 impl Choice {
+    /// By share. Of equal shares, the limits that accept the larger range of evidence are better: right
+    /// candidates of other buildings will have other evidence.
+    fn compare(&self, other: &Self) -> Ordering {
+        let area = |limits: &StrongLimits| (1.0 - limits.known_overlap) * limits.conflict;
+        let by_area = || area(&self.limits).total_cmp(&area(&other.limits));
+        self.share.total_cmp(&other.share).then_with(by_area)
+    }
+
     fn new(limits: StrongLimits, candidates: &[&Judged<'_>]) -> Self {
         let wide = StrongLimits {
             known_overlap: limits.known_overlap - MARGIN,
