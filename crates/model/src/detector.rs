@@ -25,7 +25,8 @@ pub struct Detector {
     pub verifier_without_classifier: Verifier,
     /// Candidates with a smaller confidence take no part in the optimization.
     pub min_confidence: f64,
-    /// A group of closures needs at least one closure with this evidence.
+    /// No wrong candidate of the training logs has this evidence. A closure that has it can be trusted
+    /// on its own. `optimize` does not require it: see docs/detection.md.
     pub strong: StrongLimits,
     /// Number of places that are compared with each place.
     pub n_candidates: u32,
@@ -107,7 +108,7 @@ pub struct Verifier {
     pub classifier: f64,
 }
 
-/// The least evidence of the strongest closure of a group.
+/// Limits of evidence that no wrong candidate reaches.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]

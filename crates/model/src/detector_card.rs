@@ -53,7 +53,7 @@ fn write_decisions(card: &mut String, detector: &Detector) -> fmt::Result {
     writeln!(card, "| smallest confidence of a candidate | {:.3} |", detector.min_confidence)?;
     writeln!(
         card,
-        "| the strongest closure of a group | known overlap {:.3} or more, conflict {:.3} or less |",
+        "| evidence that no wrong candidate has | known overlap {:.3} or more, conflict {:.3} or less |",
         detector.strong.known_overlap, detector.strong.conflict
     )?;
     writeln!(card, "| confidence | logistic function of {} |", formula(&detector.verifier))?;
@@ -122,7 +122,7 @@ fn in_words(part: DetectorPart) -> &'static str {
         DetectorPart::Drift => "the error of scan matching",
         DetectorPart::Closure => "the error of a closure",
         DetectorPart::Verifier => "the confidence and its smallest value",
-        DetectorPart::Strong => "the evidence of the strongest closure of a group",
+        DetectorPart::Strong => "the evidence that no wrong candidate has",
         DetectorPart::NCandidates => "the number of compared places",
     }
 }

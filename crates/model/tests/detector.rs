@@ -296,13 +296,13 @@ fn a_card_states_the_detector_in_words() {
         "| error of a closure | at least 0.120 m and 2.00 deg; covariance of the alignment times 1.00 |\n",
         "| tolerance for the choice of consistent closures | standard deviation 0.120 m and 2.00 deg |\n",
         "| places compared with each place | 5 |\n",
-        "| the strongest closure of a group | known overlap 0.500 or more, conflict 0.200 or less |\n",
+        "| evidence that no wrong candidate has | known overlap 0.500 or more, conflict 0.200 or less |\n",
         "| confidence | logistic function of -2.50 + 10.00 overlap - 4.25 conflict + 0.75 classifier |\n",
         "| confidence without the classifier | logistic function of -2.50 + 10.00 overlap |\n",
         "| log loss of the confidence | 0.0625; without the classifier 0.1250; of the share",
         "| candidates with a confidence of the classifier | 254 |\n",
         "| monday | 120 | 7 |\n",
-        "**Not fitted**: the error of the odometry, the evidence of the strongest closure of a group.",
+        "**Not fitted**: the error of the odometry, the evidence that no wrong candidate has.",
         "\n## Limits\n",
     ] {
         assert!(text.contains(line), "{line} is not in\n{text}");

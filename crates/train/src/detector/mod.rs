@@ -6,7 +6,7 @@
 //! |---|---|---|
 //! | error of the odometry, drift of scan matching | relative poses over some metres of path | `noise.rs` |
 //! | verifier, smallest confidence | evidence of right and wrong candidates | `verifier.rs` |
-//! | evidence of the strongest closure of a group | the same | `strong.rs` |
+//! | evidence that no wrong candidate has | the same | `strong.rs` |
 //! | error of a closure | errors of right candidates | `closure.rs` |
 //! | number of compared places | ranks of right candidates | `ranks.rs` |
 //!

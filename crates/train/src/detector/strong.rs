@@ -1,4 +1,4 @@
-//! The evidence that one closure of a group must have.
+//! The evidence that no wrong candidate has.
 
 use std::cmp::Ordering;
 
@@ -12,8 +12,8 @@ const MIN_RIGHT: usize = 25;
 /// A wrong candidate must miss one of the limits by this much. Two candidates of one place differ by
 /// about as much.
 const MARGIN: f64 = 0.02;
-/// Limits that fewer of the right candidates reach are useless: many groups of right closures would be
-/// rejected. Then the wrong candidates with the most evidence are tolerated, as few as possible.
+/// Limits that fewer of the right candidates reach are useless: no closure would reach them in most
+/// logs. Then the wrong candidates with the most evidence are tolerated, as few as possible.
 const LEAST_SHARE: f64 = 0.1;
 /// The limits are multiples of this.
 const STEP: f64 = 0.01;
