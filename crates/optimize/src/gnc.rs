@@ -68,6 +68,6 @@ fn truncated_weight(chi2: f64, control: f64) -> f64 {
     } else if (control + 1.0) / control * MAX_CHI2 <= chi2 {
         0.0
     } else {
-        (libm::sqrt(MAX_CHI2 * control * (control + 1.0) / chi2) - control).clamp(0.0, 1.0)
+        ((MAX_CHI2 * control * (control + 1.0) / chi2).sqrt() - control).clamp(0.0, 1.0)
     }
 }

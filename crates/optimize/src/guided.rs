@@ -82,7 +82,7 @@ pub(crate) fn predictions(
         if let Some(limit) = limit {
             let mut seen = Vec::new();
             near.retain(|&(_, k)| {
-                let piece = libm::floor(places[k].path_m / limit.every_m) as i64;
+                let piece = (places[k].path_m / limit.every_m).floor() as i64;
                 let is_new = !seen.contains(&piece) && seen.len() < limit.most;
                 if is_new {
                     seen.push(piece);
@@ -147,16 +147,21 @@ fn compare_pair(places: &[Place], prediction: &Prediction) -> Compared {
     let off = expected.inverse() * best.a_from_b;
     let is_same = |end: &&Pose2| {
         let off = best.a_from_b.inverse() * **end;
-        libm::hypot(off.x_m, off.y_m) < SAME_M && off.heading_rad.abs() < SAME_DEG.to_radians()
+        length(&off) < SAME_M && off.heading_rad.abs() < SAME_DEG.to_radians()
     };
     Compared {
         reference: prediction.reference,
         query: prediction.query,
         fit: best,
-        moved_m: libm::hypot(off.x_m, off.y_m),
+        moved_m: length(&off),
         turned_rad: off.heading_rad.abs(),
         agreement: ends.iter().filter(is_same).count() as f64 / ends.len() as f64,
     }
+}
+
+/// Distance of a relative pose \[m\].
+fn length(pose: &Pose2) -> f64 {
+    pose.distance_m(&Pose2::default())
 }
 
 /// Poses by square, for the search of near ones.
@@ -180,7 +185,7 @@ impl Squares {
     }
 
     fn square(&self, pose: &Pose2) -> (i64, i64) {
-        let of = |v: f64| libm::floor(v / self.size_m) as i64;
+        let of = |v: f64| (v / self.size_m).floor() as i64;
         (of(pose.x_m), of(pose.y_m))
     }
 

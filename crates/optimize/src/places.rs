@@ -45,7 +45,7 @@ pub(crate) fn chain(drive: &Drive<'_>, scans: &[usize], drift: &Drift) -> Vec<Ed
     let edge = |(k, pair): (usize, &[usize])| {
         let [from, to] = [pair[0], pair[1]];
         let step = drive.poses[from].inverse() * drive.poses[to];
-        let root = libm::sqrt((drive.path_m[to] - drive.path_m[from]).max(MIN_STEP_M));
+        let root = (drive.path_m[to] - drive.path_m[from]).max(MIN_STEP_M).sqrt();
         let (std_m, std_rad) = (drift.std_m_per_sqrt_m * root, drift.std_rad_per_sqrt_m * root);
         Edge::independent(k, k + 1, step, std_m, std_rad)
     };

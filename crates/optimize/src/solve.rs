@@ -114,7 +114,7 @@ fn compare_keyframes(
 }
 
 /// Iterations of the joint alignment with closures.
-const JOINT_ITERATIONS: u32 = 10;
+const JOINT_ITERATIONS: u32 = 6;
 /// Scans up to this far apart are aligned over closures \[m\].
 const LOOP_REACH_M: f64 = 3.0;
 /// They have at least this much path between them \[m\].
@@ -149,7 +149,7 @@ fn pairs_over_closures(drive: &Drive<'_>, poses: &[Pose2]) -> Vec<(usize, usize)
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         let mut metres: Vec<i64> = Vec::new();
         for (_, earlier) in near {
-            let metre = libm::floor(drive.path_m[earlier]) as i64;
+            let metre = drive.path_m[earlier].floor() as i64;
             if !metres.contains(&metre) {
                 metres.push(metre);
                 pairs.push((earlier, later));

@@ -7,7 +7,7 @@ use register::Drive;
 use crate::gnc::reject_false_closures;
 use crate::graph::Edge;
 use crate::guided::{Compared, compare, predictions};
-use crate::places::{Place, carry, chain};
+use crate::places::{Place, chain};
 use crate::{Proposal, Round};
 
 /// Two closures belong to the same group if both of their places are this close along the path \[m\].
@@ -52,9 +52,6 @@ pub(crate) struct Link {
 pub(crate) struct Confirmed {
     /// The poses of the places.
     pub(crate) poses: Vec<Pose2>,
-    /// The pairs of places whose scans confirm the poses.
-    pub(crate) compared: Vec<Compared>,
-    pub(crate) rounds: Vec<Round>,
 }
 
 /// What became of the closures that were offered.
@@ -245,12 +242,7 @@ impl Graph<'_> {
         compared.retain(Compared::is_confirmed);
         let is_enough = MIN_CONFIRMED <= compared.len()
             && MIN_SHARE * n_predicted as f64 <= compared.len() as f64;
-        is_enough.then(|| Confirmed { poses, compared, rounds: Vec::new() })
-    }
-
-    /// The poses of all scans of the drive.
-    pub(crate) fn carried(&self, poses: &[Pose2]) -> Vec<Pose2> {
-        carry(&self.drive.poses, self.scans, poses)
+        is_enough.then_some(Confirmed { poses })
     }
 }
 

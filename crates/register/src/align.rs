@@ -193,7 +193,7 @@ pub fn align(
         information: sums.information,
         prior_information: prior.information,
         n_partners: n,
-        rms_m: libm::sqrt(sums.squares_m2 / n.max(1) as f64),
+        rms_m: (sums.squares_m2 / n.max(1) as f64).sqrt(),
         near_share: near_share(source, target, &pose, NEAR_M),
     }
 }

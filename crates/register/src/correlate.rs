@@ -27,7 +27,7 @@ impl BlurredMap {
     /// If `square_m` is not positive.
     pub fn new(points: &Points, square_m: f64, blur_m: f64) -> Self {
         assert!(0.0 < square_m, "squares have a size");
-        let reach = libm::ceil(BLUR_REACH * blur_m / square_m) as usize;
+        let reach = (BLUR_REACH * blur_m / square_m).ceil() as usize;
         let fold = |of: fn(f64, f64) -> f64| {
             let first = points.positions_m.first().copied().unwrap_or_default();
             points.positions_m.iter().fold(first, |a, b| [of(a[0], b[0]), of(a[1], b[1])])
@@ -137,7 +137,7 @@ pub fn search(
     if points.is_empty() {
         return BestPose { pose: window.centre, score: 0.0 };
     }
-    let steps = |half: f64, step: f64| libm::round(half / step) as i64;
+    let steps = |half: f64, step: f64| (half / step).round() as i64;
     let n = steps(window.half_width_m, window.step_m);
     let n_turn = steps(window.half_turn_rad, window.step_rad);
     let mut best = BestPose { pose: window.centre, score: f64::NEG_INFINITY };

@@ -31,7 +31,7 @@ pub struct JointOptions {
 impl Default for JointOptions {
     fn default() -> Self {
         Self {
-            iterations: 8,
+            iterations: 5,
             first_gate_m: 0.35,
             last_gate_m: 0.15,
             first_scale_m: 0.1,
@@ -56,7 +56,7 @@ pub struct JointScans<'a> {
 /// Scans with fewer points take no part in pairs.
 const MIN_POINTS: usize = 6;
 /// One point per square of this size takes part as a source \[m\].
-const SOURCE_VOXEL_M: f64 = 0.05;
+const SOURCE_VOXEL_M: f64 = 0.15;
 /// The smallest cosine of the angle between the normals of a point and its partner: 37 deg.
 const MIN_NORMAL_COS: f64 = 0.8;
 /// In the first iteration, no pose moves by more than this \[m\], \[rad\].
@@ -173,7 +173,7 @@ struct Gates {
 
 impl Gates {
     fn of(iteration: u32, options: &JointOptions) -> Self {
-        let last = options.iterations.saturating_sub(3).max(1);
+        let last = options.iterations.saturating_sub(2).max(1);
         let share = (f64::from(iteration) / f64::from(last)).min(1.0);
         let between = |first: f64, last: f64| first + share * (last - first);
         Self {
@@ -271,7 +271,7 @@ fn pair_term(source: &Points, target: &Target, target_from_source: &Pose2, gates
 fn odometry_term(scans: &JointScans<'_>, k: usize, poses: &[Pose2], noise: &OdometryNoise) -> Term {
     let step_m = (scans.path_m[k] - scans.path_m[k - 1]).max(MIN_STEP_M);
     let std_m = noise.std_m_per_m * step_m + noise.std_m;
-    let std_rad = noise.std_rad_per_sqrt_m * libm::sqrt(step_m) + noise.std_rad;
+    let std_rad = noise.std_rad_per_sqrt_m * step_m.sqrt() + noise.std_rad;
     let weights = Vector3::new(std_m, std_m, std_rad).map(|std| 1.0 / (std * std));
     let measured = scans.odometry[k - 1].inverse() * scans.odometry[k];
     let step = poses[k - 1].inverse() * poses[k];

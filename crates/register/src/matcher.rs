@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::align::{AlignOptions, Alignment, Prior, Weakness, align, near_share};
 use crate::correlate::{BlurredMap, Preference, Window, search};
-use crate::points::Points;
+use crate::points::{Points, length};
 use crate::target::Target;
 
 /// How the scans of a drive are matched.
@@ -83,6 +83,9 @@ pub struct ScanMatcher {
     path_m: f64,
 }
 
+/// An alignment this close to the odometry needs no search for another start.
+const CERTAIN_M: f64 = 0.1;
+const CERTAIN_DEG: f64 = 2.0;
 /// Squares of the blurred map \[m\], and its standard deviation \[m\].
 const MAP_SQUARE_M: f64 = 0.05;
 const MAP_BLUR_M: f64 = 0.1;
@@ -122,14 +125,19 @@ impl ScanMatcher {
             return matched;
         };
         let step = self.last_odometry.inverse() * *odometry;
-        let step_m = libm::hypot(step.x_m, step.y_m);
+        let step_m = length([step.x_m, step.y_m]);
         let expected = last.pose * step;
         let prior = self.prior(expected, step_m);
-        let target_points = self.target_points(&expected);
-        let start = self.start(&points, &target_points, &expected, step_m);
         let reach_m = self.options.align.first_gate_m.max(crate::NEAR_M);
-        let target = Target::new(target_points, reach_m);
-        let aligned = self.best_alignment(&points, &target, &start, &prior);
+        let target = Target::new(self.target_points(&expected), reach_m);
+        let direct = align(&points, &target, &expected, &prior, &self.options.align);
+        let aligned = match self.is_certain(&direct, &expected) {
+            true => direct,
+            false => {
+                let start = self.start(&points, target.points(), &expected, step_m);
+                self.best_alignment(&points, &target, &start, &prior)
+            }
+        };
         self.last_odometry = *odometry;
         self.path_m += step_m;
         let pose = aligned.target_from_source;
@@ -143,12 +151,20 @@ impl ScanMatcher {
         }
     }
 
+    /// Whether an alignment that started at the odometry needs no search for another start: it explains
+    /// enough of the points and stayed close to the odometry.
+    fn is_certain(&self, aligned: &Alignment, expected: &Pose2) -> bool {
+        let moved = expected.inverse() * aligned.target_from_source;
+        self.options.enough_near_share <= aligned.near_share
+            && length([moved.x_m, moved.y_m]) < CERTAIN_M
+            && moved.heading_rad.abs() < CERTAIN_DEG.to_radians()
+    }
+
     /// The odometry after a step as a prior.
     fn prior(&self, expected: Pose2, step_m: f64) -> Prior {
         let noise = &self.noise;
         let std_m = noise.std_m_per_m * step_m.max(MIN_STEP_M) + noise.std_m;
-        let std_rad =
-            noise.std_rad_per_sqrt_m * libm::sqrt(step_m.max(MIN_TURN_STEP_M)) + noise.std_rad;
+        let std_rad = noise.std_rad_per_sqrt_m * step_m.max(MIN_TURN_STEP_M).sqrt() + noise.std_rad;
         Prior::independent(expected, std_m, std_m, std_rad)
     }
 

@@ -4,7 +4,7 @@ use dataset::{Pose2, Scan};
 
 use crate::align::{AlignOptions, Alignment, Prior, align};
 use crate::drive::Drive;
-use crate::points::{Motion, Points};
+use crate::points::{Motion, Points, length};
 use crate::submap::{Member, Square, Submap, SubmapOptions};
 use crate::target::Target;
 
@@ -47,7 +47,7 @@ impl Node {
         let mut points = Points::default();
         for member in members {
             let mut near = member.points.clone();
-            near.retain(|[x, y]| libm::hypot(x, y) < MAX_RANGE_M);
+            near.retain(|[x, y]| length([x, y]) < MAX_RANGE_M);
             points.extend_from(&member.node_from_scan, &near);
         }
         let points = points.thin(TARGET_VOXEL_M);

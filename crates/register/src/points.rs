@@ -16,6 +16,9 @@ const MIN_NEIGHBOURS: usize = 4;
 /// value: a deviation of a quarter of the length.
 const LINE_VARIANCE_RATIO: f64 = 0.06;
 
+/// The most squares in a table (4 MB).
+const MAX_THIN_SQUARES: f64 = 1_048_576.0;
+
 /// Points in one frame. `positions_m` and `normals` have the same length.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Points {
@@ -31,7 +34,7 @@ impl Points {
     ///
     /// The normal of a return is the direction of the smallest variance of the returns around it.
     pub fn from_scan(scan: &Scan, limits: RangeLimits) -> Self {
-        let is_kept = |p: &[f64; 2]| limits.contains(libm::hypot(p[0], p[1]));
+        let is_kept = |p: &[f64; 2]| limits.contains(length(*p));
         let positions_m: Vec<[f64; 2]> = scan.points().filter(is_kept).collect();
         let normals = (0..positions_m.len()).map(|k| normal_at(&positions_m, k)).collect();
         Self { positions_m, normals }
@@ -57,13 +60,55 @@ impl Points {
     /// Keeps one point per square of `voxel_m`: the first one with a normal, or else the first one.
     /// The order of the points is kept.
     pub fn thin(&self, voxel_m: f64) -> Self {
-        let square = |p: &[f64; 2]| p.map(|v| libm::floor(v / voxel_m) as i64);
+        let squares: Vec<[f64; 2]> =
+            self.positions_m.iter().map(|p| p.map(|v| (v / voxel_m).floor())).collect();
+        let fold = |of: fn(f64, f64) -> f64| {
+            let first = squares.first().copied().unwrap_or_default();
+            squares.iter().fold(first, |a, b| [of(a[0], b[0]), of(a[1], b[1])])
+        };
+        let (least, most) = (fold(f64::min), fold(f64::max));
+        let sides = [0, 1].map(|axis| most[axis] - least[axis] + 1.0);
+        let mut kept = match sides[0] * sides[1] <= MAX_THIN_SQUARES {
+            true => self.first_per_square(&squares, least, sides.map(|side| side as usize)),
+            false => self.first_per_sorted_square(&squares),
+        };
+        kept.sort_unstable();
+        self.select(&kept)
+    }
+
+    /// The point to keep of each square, with a table of all squares.
+    fn first_per_square(
+        &self,
+        squares: &[[f64; 2]],
+        least: [f64; 2],
+        sides: [usize; 2],
+    ) -> Vec<usize> {
+        let mut kept: Vec<usize> = Vec::new();
+        // 1 more than the position in `kept`; 0 for a square without a point.
+        let mut table = vec![0u32; sides[0] * sides[1]];
+        for (k, square) in squares.iter().enumerate() {
+            let [a, b] = [0, 1].map(|axis| (square[axis] - least[axis]) as usize);
+            let entry = &mut table[a * sides[1] + b];
+            if *entry == 0 {
+                kept.push(k);
+                *entry = kept.len() as u32;
+            } else {
+                let first = &mut kept[*entry as usize - 1];
+                if self.normals[*first].is_none() && self.normals[k].is_some() {
+                    *first = k;
+                }
+            }
+        }
+        kept
+    }
+
+    /// The same, for an area with too many squares for a table.
+    fn first_per_sorted_square(&self, squares: &[[f64; 2]]) -> Vec<usize> {
+        let square = |k: usize| squares[k].map(|v| v as i64);
         let mut order: Vec<usize> = (0..self.len()).collect();
-        let key = |&k: &usize| (square(&self.positions_m[k]), self.normals[k].is_none(), k);
-        order.sort_unstable_by_key(key);
-        order.dedup_by_key(|k| square(&self.positions_m[*k]));
-        order.sort_unstable();
-        self.select(&order)
+        order.sort_unstable_by_key(|&k| (square(k), self.normals[k].is_none(), k));
+        order.dedup_by_key(|k| square(*k));
+        order
     }
 
     /// The points with these indices.
@@ -81,6 +126,12 @@ impl Points {
             *self = self.select(&kept);
         }
     }
+}
+
+/// Length of a vector. Square roots are exact on every machine, and faster than `libm::hypot`.
+#[inline]
+pub(crate) fn length([x, y]: [f64; 2]) -> f64 {
+    (x * x + y * y).sqrt()
 }
 
 /// A pose with the cosine and sine of its heading.
@@ -113,8 +164,8 @@ impl Motion {
 /// The normal at one return from its neighbours in firing order.
 fn normal_at(points: &[[f64; 2]], k: usize) -> Option<[f64; 2]> {
     let [x, y] = points[k];
-    let reach_m = (REACH_PER_RANGE * libm::hypot(x, y)).max(REACH_M);
-    let is_near = |p: &&[f64; 2]| libm::hypot(p[0] - x, p[1] - y) < reach_m;
+    let reach_m = (REACH_PER_RANGE * length([x, y])).max(REACH_M);
+    let is_near = |p: &&[f64; 2]| length([p[0] - x, p[1] - y]) < reach_m;
     let before = points[..k].iter().rev().take(MAX_NEIGHBOURS).take_while(is_near).count();
     let after = points[k + 1..].iter().take(MAX_NEIGHBOURS).take_while(is_near).count();
     let around = &points[k - before..=k + after];

@@ -252,7 +252,7 @@ fn cholesky(a: &Matrix3<f64>) -> Option<Matrix3<f64>> {
         if !(0.0 < rest && rest.is_finite()) {
             return None;
         }
-        let root = libm::sqrt(rest);
+        let root = rest.sqrt();
         l[(column, column)] = root;
         for row in column + 1..3 {
             let mut rest = a[(row, column)];

@@ -3,7 +3,7 @@
 use dataset::{Pose2, Scan};
 use serde::{Deserialize, Serialize};
 
-use crate::points::Motion;
+use crate::points::{Motion, length};
 
 /// How submaps are made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -147,7 +147,7 @@ struct Counts {
 
 fn sectors(options: &SubmapOptions) -> usize {
     assert!(0.0 < options.sector_deg && options.sector_deg <= 360.0, "a submap has sectors");
-    libm::ceil(360.0 / options.sector_deg) as usize
+    (360.0 / options.sector_deg).ceil() as usize
 }
 
 fn index([x, y]: [f64; 2], n: usize, square_m: f64) -> Option<usize> {
@@ -173,7 +173,7 @@ fn count_hits(
     let motion = Motion::new(&member.node_from_scan);
     for p in member.scan.points() {
         // False for NaN.
-        let is_used = libm::hypot(p[0], p[1]) < options.max_range_m;
+        let is_used = length(p) < options.max_range_m;
         let square = index(motion.point(p), options.n_squares as usize, options.square_m);
         if let Some(k) = square.filter(|&k| is_used && last_hit[k] != number) {
             last_hit[k] = number;
@@ -188,7 +188,7 @@ fn nearest_returns(scan: &Scan, options: &SubmapOptions, nearest_m: &mut [f64]) 
     let n = nearest_m.len();
     let mut ranges_m = vec![f64::INFINITY; n];
     for p in scan.points() {
-        let range_m = libm::hypot(p[0], p[1]);
+        let range_m = length(p);
         if range_m < options.max_range_m {
             let range = &mut ranges_m[sector(p, n)];
             *range = range.min(range_m);
@@ -203,9 +203,28 @@ fn nearest_returns(scan: &Scan, options: &SubmapOptions, nearest_m: &mut [f64]) 
     }
 }
 
-fn sector([x, y]: [f64; 2], n: usize) -> usize {
-    let turn = libm::atan2(y, x) / std::f64::consts::TAU + 0.5;
-    ((turn * n as f64) as usize) % n
+/// The sector of a direction.
+fn sector(p: [f64; 2], n: usize) -> usize {
+    ((turns(p) * n as f64) as usize) % n
+}
+
+/// The direction of a vector in turns from the negative x axis, 0 to 1.
+///
+/// Within 2e-6 turns of the right value (Abramowitz and Stegun 1964, formula 4.4.49), which is
+/// enough to find a sector, and several times faster than `libm::atan2`.
+fn turns([x, y]: [f64; 2]) -> f64 {
+    let (least, most) = (x.abs().min(y.abs()), x.abs().max(y.abs()));
+    if most == 0.0 {
+        return 0.5;
+    }
+    let t = least / most;
+    let t2 = t * t;
+    let series =
+        0.999_866 + t2 * (-0.330_299_5 + t2 * (0.180_141 + t2 * (-0.085_133 + t2 * 0.020_835_1)));
+    let eighth = t * series / std::f64::consts::TAU;
+    let quarter = if x.abs() < y.abs() { 0.25 - eighth } else { eighth };
+    let half = if x < 0.0 { 0.5 - quarter } else { quarter };
+    0.5 + if y < 0.0 { -half } else { half }
 }
 
 /// Counts each square whose centre is before the nearest return of its sector.
@@ -221,7 +240,7 @@ fn count_free(member: &Member<'_>, options: &SubmapOptions, nearest_m: &[f64], f
     for a in range(member.node_from_scan.x_m) {
         for b in range(member.node_from_scan.y_m) {
             let p = scan_from_node.point(centre_m([a, b], n, options.square_m));
-            let range_m = libm::hypot(p[0], p[1]);
+            let range_m = length(p);
             if range_m < nearest_m[sector(p, nearest_m.len())] - options.free_margin_m {
                 free[a * n + b] += 1;
             }
@@ -234,4 +253,21 @@ fn has_neighbour(occupied: &[bool], n: usize, k: usize) -> bool {
     let (row, column) = (k / n, k % n);
     let around = |v: usize| v.saturating_sub(1)..(v + 2).min(n);
     around(row).any(|a| around(column).any(|b| occupied[a * n + b]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_direction_in_turns_is_that_of_atan2() {
+        for k in 0..10_000 {
+            let angle = (f64::from(k) - 5000.0) / 5000.0 * 3.141;
+            let found = turns([2.0 * angle.cos(), 2.0 * angle.sin()]);
+            let expected = angle / std::f64::consts::TAU + 0.5;
+            assert!((found - expected).abs() < 2e-6, "{angle}: {found}, expected {expected}");
+        }
+        assert_eq!(turns([0.0, 0.0]), 0.5);
+        assert!(sector([-1.0, 0.0], 180) == 0);
+    }
 }

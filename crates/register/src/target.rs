@@ -2,21 +2,33 @@
 
 use crate::points::Points;
 
+/// Side of a square \[m\]. Returns on a wall are 0.05 m apart or more, so that a square has one or two.
+const SQUARE_M: f64 = 0.1;
 /// The most squares per side. A larger area gets larger squares.
 const MAX_SQUARES: usize = 2048;
 
 /// Points with an index for the search of the nearest one.
+///
+/// Most squares have no point. One bit per square says whether it has, and only those that have take
+/// more memory.
 #[derive(Debug, Clone)]
 pub struct Target {
     points: Points,
+    reach_m: f64,
     square_m: f64,
     /// Lower corner of the first square \[m\].
     corner_m: [f64; 2],
     /// Squares along x and y.
     n_squares: [usize; 2],
-    /// The points of square `k` are `order[starts[k]..starts[k + 1]]`.
+    /// Bit `k % 64` of word `k / 64`: whether square `k` has points.
+    has_points: Vec<u64>,
+    /// Number of squares with points before each word.
+    ranks: Vec<u32>,
+    /// The points of the n-th square with points are `order[starts[n]..starts[n + 1]]`.
     starts: Vec<u32>,
     order: Vec<u32>,
+    /// The positions in this order.
+    sorted_m: Vec<[f64; 2]>,
 }
 
 impl Target {
@@ -34,15 +46,20 @@ impl Target {
         };
         let (corner_m, far_m) = (fold(f64::min), fold(f64::max));
         let extent_m = (far_m[0] - corner_m[0]).max(far_m[1] - corner_m[1]);
-        let square_m = reach_m.max(extent_m / (MAX_SQUARES - 1) as f64);
+        let square_m = SQUARE_M.max(extent_m / (MAX_SQUARES - 1) as f64);
         let n_squares = [0, 1].map(|axis| ((far_m[axis] - corner_m[axis]) / square_m) as usize + 1);
+        let n_words = (n_squares[0] * n_squares[1]).div_ceil(64);
         let mut target = Self {
             points,
+            reach_m,
             square_m,
             corner_m,
             n_squares,
-            starts: vec![0; n_squares[0] * n_squares[1] + 1],
+            has_points: vec![0; n_words],
+            ranks: Vec::with_capacity(n_words),
+            starts: Vec::new(),
             order: Vec::new(),
+            sorted_m: Vec::new(),
         };
         target.sort();
         target
@@ -52,22 +69,41 @@ impl Target {
     fn sort(&mut self) {
         let squares: Vec<usize> = self.points.positions_m.iter().map(|p| self.square(p)).collect();
         for &square in &squares {
-            self.starts[square + 1] += 1;
+            self.has_points[square / 64] |= 1 << (square % 64);
+        }
+        let mut n_before = 0;
+        for word in &self.has_points {
+            self.ranks.push(n_before);
+            n_before += word.count_ones();
+        }
+        self.starts = vec![0; n_before as usize + 1];
+        let ranks: Vec<usize> = squares.iter().map(|&square| self.rank(square)).collect();
+        for &rank in &ranks {
+            self.starts[rank + 1] += 1;
         }
         for k in 1..self.starts.len() {
             self.starts[k] += self.starts[k - 1];
         }
         let mut next = self.starts.clone();
-        self.order = vec![0; squares.len()];
-        for (point, &square) in squares.iter().enumerate() {
-            self.order[next[square] as usize] = point as u32;
-            next[square] += 1;
+        self.order = vec![0; ranks.len()];
+        for (point, &rank) in ranks.iter().enumerate() {
+            self.order[next[rank] as usize] = point as u32;
+            next[rank] += 1;
         }
+        let positions = &self.points.positions_m;
+        self.sorted_m = self.order.iter().map(|&point| positions[point as usize]).collect();
     }
 
     fn square(&self, p: &[f64; 2]) -> usize {
         let [a, b] = [0, 1].map(|axis| ((p[axis] - self.corner_m[axis]) / self.square_m) as usize);
         a * self.n_squares[1] + b
+    }
+
+    /// Number of squares with points before a square.
+    #[inline]
+    fn rank(&self, square: usize) -> usize {
+        let before = self.has_points[square / 64] & ((1 << (square % 64)) - 1);
+        (self.ranks[square / 64] + before.count_ones()) as usize
     }
 
     /// The points.
@@ -77,47 +113,95 @@ impl Target {
 
     /// The longest distance of a search \[m\].
     pub fn reach_m(&self) -> f64 {
-        self.square_m
+        self.reach_m
     }
 
-    /// The point nearest to a position, if one is nearer than `max_m`. Of two equally near points,
-    /// the one that is found first: by square, then by index. `max_m` is at most [`Target::reach_m`].
+    /// The point nearest to a position, if one is nearer than `max_m`. Of two equally near points, one
+    /// of them; always the same one. `max_m` is at most [`Target::reach_m`].
+    ///
+    /// Rows of squares are searched from the inside out, as far as a point can still be nearer.
     #[inline]
     pub fn nearest(&self, [x, y]: [f64; 2], max_m: f64) -> Option<usize> {
-        debug_assert!(max_m <= self.square_m, "a search does not reach past the next square");
-        let square = |v: f64, axis: usize| (v - self.corner_m[axis]) / self.square_m;
-        let range = |v: f64, axis: usize| {
-            let k = square(v, axis);
-            // Also false for NaN.
-            let is_near = -1.0 < k && k < self.n_squares[axis] as f64 + 1.0;
-            is_near.then(|| {
-                let k = libm::floor(k) as i64;
-                (k - 1).max(0) as usize..((k + 2).max(0) as usize).min(self.n_squares[axis])
-            })
-        };
-        let (rows, columns) = (range(x, 0)?, range(y, 1)?);
-        if columns.is_empty() {
+        debug_assert!(max_m <= self.reach_m, "the search does not reach farther than the target");
+        let [a, b] =
+            [(x - self.corner_m[0]) / self.square_m, (y - self.corner_m[1]) / self.square_m];
+        let reach = max_m / self.square_m;
+        // Also false for NaN.
+        let is_near =
+            |at: f64, axis: usize| -reach <= at && at <= self.n_squares[axis] as f64 + reach;
+        if !(is_near(a, 0) && is_near(b, 1)) {
             return None;
         }
-        let mut nearest = None;
-        let mut best_m2 = max_m * max_m;
-        for row in rows {
-            // The squares of a row follow each other.
-            let first = row * self.n_squares[1];
-            let from = self.starts[first + columns.start] as usize;
-            let to = self.starts[first + columns.end] as usize;
-            for &k in &self.order[from..to] {
-                let p = self.points.positions_m[k as usize];
-                let (dx, dy) = (p[0] - x, p[1] - y);
-                let m2 = dx * dx + dy * dy;
-                if m2 < best_m2 {
-                    best_m2 = m2;
-                    nearest = Some(k as usize);
+        let mut best = Best { m2: max_m * max_m, reach, entry: None };
+        let row = a.floor() as i64;
+        let inside = a - row as f64;
+        self.search_row(row, 0.0, b, [x, y], &mut best);
+        for step in 1..=(reach as i64 + 1) {
+            // Distances from the position to the rows, in squares.
+            let (to_below, to_above) = (inside + (step - 1) as f64, step as f64 - inside);
+            if best.reach <= to_below && best.reach <= to_above {
+                break;
+            }
+            self.search_row(row - step, to_below, b, [x, y], &mut best);
+            self.search_row(row + step, to_above, b, [x, y], &mut best);
+        }
+        best.entry.map(|entry| self.order[entry as usize] as usize)
+    }
+
+    /// Searches the squares of a row that may have a nearer point. `to_row` is the distance from the
+    /// position to the row and `column` the position along it, in squares.
+    #[inline]
+    fn search_row(&self, row: i64, to_row: f64, column: f64, [x, y]: [f64; 2], best: &mut Best) {
+        if row < 0 || self.n_squares[0] as i64 <= row || best.reach <= to_row {
+            return;
+        }
+        let least = (column - best.reach).floor().max(0.0) as usize;
+        let most = ((column + best.reach) as i64).min(self.n_squares[1] as i64 - 1);
+        if most < least as i64 {
+            return;
+        }
+        let first = row as usize * self.n_squares[1] + least;
+        let mut rest = most as usize - least + 1;
+        let mut from = first;
+        while 0 < rest {
+            let n = rest.min(64);
+            let mut bits = self.bits(from, n);
+            while bits != 0 {
+                let square = from + bits.trailing_zeros() as usize;
+                bits &= bits - 1;
+                let rank = self.rank(square);
+                for entry in self.starts[rank]..self.starts[rank + 1] {
+                    let p = self.sorted_m[entry as usize];
+                    let (dx, dy) = (p[0] - x, p[1] - y);
+                    let m2 = dx * dx + dy * dy;
+                    if m2 < best.m2 {
+                        *best = Best { m2, reach: m2.sqrt() / self.square_m, entry: Some(entry) };
+                    }
                 }
             }
+            from += n;
+            rest -= n;
         }
-        nearest
     }
+
+    /// Whether each of up to 64 squares has points, one bit per square.
+    #[inline]
+    fn bits(&self, first: usize, n: usize) -> u64 {
+        let (word, shift) = (first / 64, first % 64);
+        let mut bits = self.has_points[word] >> shift;
+        if 64 - shift < n {
+            bits |= self.has_points[word + 1] << (64 - shift);
+        }
+        if n < 64 { bits & ((1 << n) - 1) } else { bits }
+    }
+}
+
+/// The nearest point so far.
+struct Best {
+    m2: f64,
+    /// The distance in squares.
+    reach: f64,
+    entry: Option<u32>,
 }
 
 #[cfg(test)]
@@ -167,7 +251,7 @@ mod tests {
     fn distant_points_do_not_need_much_memory() {
         let points = Points { positions_m: vec![[0.0, 0.0], [1e6, 1e6]], normals: vec![None; 2] };
         let target = Target::new(points, 0.5);
-        assert!(target.starts.len() <= MAX_SQUARES * MAX_SQUARES + 1);
+        assert!(target.has_points.len() <= MAX_SQUARES * MAX_SQUARES / 64 + 1);
         assert_eq!(target.nearest([1e6 - 0.1, 1e6], 0.5), Some(1));
     }
 }
