@@ -4,13 +4,12 @@ use dataset::Pose2;
 use model::{Detector, Evidence};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
-use register::{AlignOptions, Drive, Fit, fit, fit_options};
+use register::{AlignOptions, Drive, Fit, closure_covariance, fit, fit_options};
 
 use crate::correlation::{Peak, Query, Reference, Scores, UNIT};
 use crate::descriptor::Describer;
 use crate::places::Places;
 use crate::retrieval::{Descriptors, Similar};
-use crate::uncertainty::covariance;
 
 /// Two places that may be the same.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -202,7 +201,7 @@ impl Finder<'_> {
             query,
             reference,
             reference_from_query: fit.a_from_b,
-            covariance: covariance(&fit.alignment, &self.options, &self.detector.closure),
+            covariance: closure_covariance(&fit.alignment, &self.options, &self.detector.closure),
             evidence,
             confidence: self.detector.confidence(&evidence),
             rank,

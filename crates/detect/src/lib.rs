@@ -28,7 +28,6 @@ mod correlation;
 mod descriptor;
 mod places;
 mod retrieval;
-mod uncertainty;
 
 pub use candidates::{Candidate, Classify, find_candidates};
 pub use descriptor::{DESCRIPTOR_LEN, Describer};

@@ -10,9 +10,11 @@ use crate::places::between;
 /// The map of a scan consists of the scans of the drive up to this far from it \[m\].
 const NEAR_M: f64 = 2.5;
 /// The most scans in that map, those with a similar position and heading first.
-const MAX_SCANS: usize = 24;
+const MAX_SCANS: usize = 16;
 /// A difference of one radian of heading counts as much as this distance \[m\].
 const M_PER_RAD: f64 = 1.0;
+/// One point per square of this size is aligned \[m\].
+const SOURCE_VOXEL_M: f64 = 0.1;
 /// Scans with fewer points keep the pose by odometry.
 const MIN_POINTS: usize = 20;
 /// Standard deviation of the pose carried by odometry from the nearest scans of the drive.
@@ -52,7 +54,7 @@ pub fn align_every_scan(
             let node_from_map = poses[k].inverse();
             between
                 .filter_map(|scan| {
-                    let points = points_of(scans[scan].scan, limits);
+                    let points = points_of(scans[scan].scan, limits).thin(SOURCE_VOXEL_M);
                     let start = node_from_map * every[scan];
                     let pose = aligned(&points, &target, &start)?;
                     Some((scan, poses[k] * pose))

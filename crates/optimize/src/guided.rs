@@ -1,9 +1,13 @@
 //! Comparison of places that the optimized poses predict to be the same.
 
 use dataset::Pose2;
+use model::ClosureNoise;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
-use register::{Fit, Preference, Prior, Window, align, fit, fit_options, search};
+use register::{
+    AlignOptions, Fit, Preference, Prior, Window, align, closure_covariance, fit, fit_options,
+    search,
+};
 
 use crate::places::Place;
 
@@ -62,10 +66,10 @@ impl Compared {
     }
 }
 
-/// The pairs of places at most [`REACH_M`] apart with at least `min_path_m` of path between them. At
-/// most `most` references per query, the nearest first, and then at most one per `every_m` of path.
+/// The pairs of places at most [`REACH_M`] apart by `poses`, with at least `min_path_m` of path between them. At most
+/// `most` references per query, the nearest first, and then at most one per `every_m` of path.
 pub(crate) fn predictions(
-    places: &[Place],
+    path_m: &[f64],
     poses: &[Pose2],
     min_path_m: f64,
     limit: Option<Limit>,
@@ -74,7 +78,7 @@ pub(crate) fn predictions(
     let of_query = |query: usize| {
         let mut near: Vec<(f64, usize)> = squares
             .around(&poses[query])
-            .filter(|&k| k < query && min_path_m <= places[query].path_m - places[k].path_m)
+            .filter(|&k| k < query && min_path_m <= path_m[query] - path_m[k])
             .map(|k| (poses[k].distance_m(&poses[query]), k))
             .filter(|&(distance_m, _)| distance_m <= REACH_M)
             .collect();
@@ -82,7 +86,7 @@ pub(crate) fn predictions(
         if let Some(limit) = limit {
             let mut seen = Vec::new();
             near.retain(|&(_, k)| {
-                let piece = (places[k].path_m / limit.every_m).floor() as i64;
+                let piece = (path_m[k] / limit.every_m).floor() as i64;
                 let is_new = !seen.contains(&piece) && seen.len() < limit.most;
                 if is_new {
                     seen.push(piece);
@@ -98,7 +102,7 @@ pub(crate) fn predictions(
             })
             .collect::<Vec<_>>()
     };
-    (0..places.len()).into_par_iter().flat_map_iter(of_query).collect()
+    (0..poses.len()).into_par_iter().flat_map_iter(of_query).collect()
 }
 
 /// How many references a query is compared with.
@@ -142,7 +146,7 @@ fn compare_pair(places: &[Place], prediction: &Prediction) -> Compared {
         })
         .collect();
     let key = |fit: &Fit| fit.known_overlap - fit.known_conflict();
-    let [first, second] = [0, 1].map(|k| fit(&a.node, &b.node, &ends[k], &fit_options(0.25, 8)));
+    let [first, second] = [0, 1].map(|k| fit(&a.node, &b.node, &ends[k], &last_options()));
     let best = if key(&first) < key(&second) { second } else { first };
     let off = expected.inverse() * best.a_from_b;
     let is_same = |end: &&Pose2| {
@@ -197,17 +201,12 @@ impl Squares {
     }
 }
 
-/// Covariance of the relative pose of a fit: the inverse information of its points, scaled by their
-/// residuals and by `factor`, plus the square of the smallest standard deviations.
-pub(crate) fn covariance(fit: &Fit, noise: &model::ClosureNoise) -> Matrix3<f64> {
-    let options = fit_options(0.25, 8);
-    let floor = nalgebra::Vector3::new(noise.std_m, noise.std_m, noise.std_rad);
-    let floor = Matrix3::from_diagonal(&floor.component_mul(&floor));
-    match fit.alignment.covariance(&options) {
-        Some(covariance) => covariance * noise.covariance_factor + floor,
-        None => floor * UNKNOWN,
-    }
+/// Covariance of the relative pose of a comparison.
+pub(crate) fn covariance(fit: &Fit, noise: &ClosureNoise) -> Matrix3<f64> {
+    closure_covariance(&fit.alignment, &last_options(), noise)
 }
 
-/// Factor of the smallest variance where the points determine nothing.
-const UNKNOWN: f64 = 1e4;
+/// The last alignment of a comparison, after which the fit is measured.
+fn last_options() -> AlignOptions {
+    fit_options(0.25, 8)
+}

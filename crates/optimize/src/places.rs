@@ -13,8 +13,6 @@ const MAP_BLUR_M: f64 = 0.15;
 
 /// A place with what comparisons with other places need.
 pub(crate) struct Place {
-    /// Index of the scan in the drive.
-    pub(crate) scan: usize,
     pub(crate) path_m: f64,
     pub(crate) node: Node,
     pub(crate) walls: BlurredMap,
@@ -31,7 +29,7 @@ pub(crate) fn make_places(
     let place = |&scan: &usize| {
         let node = Node::around(drive, poses, scan, half_m, &options);
         let walls = BlurredMap::new(node.target().points(), MAP_SQUARE_M, MAP_BLUR_M);
-        Place { scan, path_m: drive.path_m[scan], node, walls }
+        Place { path_m: drive.path_m[scan], node, walls }
     };
     scans.par_iter().map(place).collect()
 }

@@ -100,14 +100,25 @@ fn compare_keyframes(
     min_path_m: f64,
 ) -> Vec<ComparedKeyframes> {
     let keyframes: Vec<usize> = (0..drive.scans.len()).filter(|&k| drive.is_keyframe[k]).collect();
-    let places = make_places(drive, &drive.poses, &keyframes, HALF_M);
-    let place_poses: Vec<Pose2> = keyframes.iter().map(|&k| poses[k]).collect();
-    let predicted = predictions(&places, &place_poses, min_path_m, Some(KEYFRAME_LIMIT));
+    let keyframe_poses: Vec<Pose2> = keyframes.iter().map(|&k| poses[k]).collect();
+    let path_m: Vec<f64> = keyframes.iter().map(|&k| drive.path_m[k]).collect();
+    let mut predicted = predictions(&path_m, &keyframe_poses, min_path_m, Some(KEYFRAME_LIMIT));
+    // Only keyframes that are compared need a submap.
+    let mut used: Vec<usize> = predicted.iter().flat_map(|p| [p.reference, p.query]).collect();
+    used.sort_unstable();
+    used.dedup();
+    for prediction in &mut predicted {
+        for index in [&mut prediction.reference, &mut prediction.query] {
+            *index = used.partition_point(|&k| k < *index);
+        }
+    }
+    let scans: Vec<usize> = used.iter().map(|&k| keyframes[k]).collect();
+    let places = make_places(drive, &drive.poses, &scans, HALF_M);
     compare(&places, &predicted)
         .into_iter()
         .map(|compared| ComparedKeyframes {
-            reference: places[compared.reference].scan,
-            query: places[compared.query].scan,
+            reference: scans[compared.reference],
+            query: scans[compared.query],
             compared,
         })
         .collect()

@@ -86,7 +86,8 @@ impl Graph<'_> {
     }
 
     fn compare_predictions(&self, poses: &[Pose2]) -> Vec<Compared> {
-        compare(self.places, &predictions(self.places, poses, self.min_path_m, None))
+        let path_m: Vec<f64> = self.places.iter().map(|place| place.path_m).collect();
+        compare(self.places, &predictions(&path_m, poses, self.min_path_m, None))
     }
 
     /// Drops groups of links that the scans do not support, until the rest is supported or nothing is

@@ -58,6 +58,7 @@ mod points;
 mod sparse;
 mod submap;
 mod target;
+mod uncertainty;
 
 pub use align::{AlignOptions, Alignment, NEAR_M, Prior, Weakness, align, near_share};
 pub use correlate::{BestPose, BlurredMap, Preference, Window, search};
@@ -69,3 +70,4 @@ pub use points::Points;
 pub use sparse::{BlockSystem, Factor};
 pub use submap::{Member, Square, Submap, SubmapOptions};
 pub use target::Target;
+pub use uncertainty::closure_covariance;

@@ -173,6 +173,9 @@ fn one_direction(a: &Node, b: &Node, a_from_b: &Pose2) -> OneDirection {
     }
 }
 
+/// A scan of a node has this many points.
+const MIN_MEMBER_POINTS: usize = 15;
+
 /// Keyframes at least `step_m` of path apart, from the first one on.
 pub fn places(drive: &Drive<'_>, step_m: f64) -> Vec<usize> {
     let mut places = Vec::new();
@@ -188,7 +191,8 @@ pub fn places(drive: &Drive<'_>, step_m: f64) -> Vec<usize> {
 
 impl Node {
     /// Joins the scans of a drive up to `half_m` of path before and after a scan. `poses` are the poses
-    /// of all scans of the drive.
+    /// of all scans of the drive. Scans with fewer than 15 points are left out: they say little, and
+    /// their poses are badly known.
     pub fn around(
         drive: &Drive<'_>,
         poses: &[Pose2],
@@ -203,6 +207,7 @@ impl Node {
         let last = drive.path_m.partition_point(|&m| m <= to_m);
         let node_from_map = poses[scan].inverse();
         let members: Vec<NodeMember<'_>> = (first..last)
+            .filter(|&k| MIN_MEMBER_POINTS <= drive.points[k].len())
             .map(|k| NodeMember {
                 node_from_scan: node_from_map * poses[k],
                 scan: drive.scans[k],

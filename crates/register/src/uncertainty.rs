@@ -1,8 +1,9 @@
-//! How uncertain the relative pose of two places is.
+//! The covariance of the relative pose of two places.
 
 use model::ClosureNoise;
 use nalgebra::{Matrix3, Vector3};
-use register::{AlignOptions, Alignment};
+
+use crate::align::{AlignOptions, Alignment};
 
 /// Below this ratio of the smallest to the largest information about the position, the points do not
 /// determine one direction: a corridor. The value is a guess. Rooms have 0.2 and more.
@@ -13,7 +14,8 @@ const WEAK_STD_M: f64 = 1.0;
 /// Standard deviation of the heading if the points say nothing about it \[rad\].
 const UNKNOWN_STD_RAD: f64 = 0.5;
 
-/// Covariance of x, y and heading of an alignment, in the frame of the target.
+/// Covariance of x, y and heading of the relative pose of two places after an alignment, in the frame
+/// of the target.
 ///
 /// 1. The inverse of the information of the points, times the variance of their residuals, times
 ///    [`ClosureNoise::covariance_factor`].
@@ -21,7 +23,7 @@ const UNKNOWN_STD_RAD: f64 = 0.5;
 /// 3. If the ratio r of [`Alignment::weakness`] is below 0.1, the variance along the weak direction
 ///    grows by `(1 m)^2 (1 - r / 0.1)^2`. In a corridor, every position along it looks the same, and the
 ///    curvature of the residuals at one of them is too optimistic.
-pub(crate) fn covariance(
+pub fn closure_covariance(
     alignment: &Alignment,
     options: &AlignOptions,
     noise: &ClosureNoise,
