@@ -11,7 +11,7 @@ use super::truth::TruePose;
 
 /// A keyframe is a revisit if an earlier keyframe is at most this far away \[m\].
 pub const REVISIT_M: f64 = 3.0;
-/// ... and at least this path before it \[m\].
+/// The path between a revisit and the earlier keyframe is at least this long \[m\].
 pub const REVISIT_PATH_M: f64 = 30.0;
 /// `detect` compares places a few metres apart, not every keyframe. For the losses of a stage, a
 /// keyframe counts as reached if the stage reached one with at most this path in between \[m\]: half of

@@ -138,7 +138,7 @@ fn errors(measures: &[DriveMeasures]) -> Markup {
                 "\u{a0}deg, both before and after; closures are not compared with them. With them, "
                 (measures.iter().filter_map(|m| m.truth.as_ref()).map(|t| t.n_false_with_doubtful).sum::<usize>()) " closures would be false. "
             }
-            "NEES: mean squared error, normalized by the covariance. Above its bounds, covariances are too small; a third of it is the factor. "
+            "NEES: mean squared error, normalized by the covariance. Above its bounds, covariances are too small. The factor is by how much. "
             "All numbers are in " code { "evaluation/detection.parquet" } ", every closure is in " code { "evaluation/closure_errors.parquet" } "."
         }
     }
@@ -161,6 +161,7 @@ fn nees(calibration: Option<&Calibration>) -> Markup {
             Some(c) => {
                 (format!("{:.2}", c.mean))
                 small { (format!("{:.2} to {:.2}", c.low, c.high)) }
+                small { (format!("factor {:.2}", c.factor)) }
             }
             None => { (NO_VALUE) }
         }
