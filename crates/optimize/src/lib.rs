@@ -1,4 +1,16 @@
 //! `optimize`: the poses of a drive and its loop closures, estimated together.
+//!
+//! ```text
+//! Drive, proposals ──reject_false_closures──► poses ──compare what they predict──► supported?
+//!                          ▲                                                        │ no: drop a group
+//!                          └────────────────────────────────────────────────────────┘
+//!                                       yes ──joint alignment──► poses ──compare keyframes──► closures
+//!                                                                  └──align_every_scan──► a pose per scan
+//! ```
+//!
+//! [`close_loops`] does all of this but the last step. It decides with the odometry, with all closures
+//! together and with the scans at every place that the result predicts to be the same: no closure is
+//! accepted for its own score alone.
 
 mod every_scan;
 mod gnc;
