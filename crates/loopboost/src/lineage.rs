@@ -136,6 +136,11 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
     let mut logs: BTreeMap<(String, String), PathBuf> = BTreeMap::new();
     for log in config.map(Config::log_files).transpose()?.unwrap_or_default() {
         let pose_file = config.map(|config| config.pose_file(&log.name)).transpose()?.flatten();
+        let truth_file = config.and_then(|config| config.truth_file(&log.name));
+        let of_truth = log.paths.clone().into_iter().chain(truth_file);
+        for path in of_truth {
+            logs.insert((format!("ingest {} truth", log.name), file_name(&path)), path);
+        }
         for path in log.paths.into_iter().chain(pose_file) {
             logs.insert((format!("ingest {}", log.name), file_name(&path)), path);
         }
@@ -176,8 +181,13 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
         }
     }
     out!("{n_checked} digests checked, {} problems", problems.len());
-    for log in unchecked {
-        out!("not checked: log {log} is outside the run folder; pass the pipeline with --pipeline");
+    for name in unchecked {
+        match name.ends_with(".json") {
+            true => out!("not checked: the model {name} is outside the run folder"),
+            false => {
+                out!("not checked: log {name} is outside the run folder; pass the pipeline with --pipeline");
+            }
+        }
     }
     if problems.is_empty() {
         return Ok(());

@@ -31,6 +31,16 @@ pub(crate) enum Summary {
     Detected { log: String, n_places: u64, n_candidates: u64 },
     /// The closures of a log, and the number of poses of its trajectory.
     Optimized { log: String, n_accepted: u64, n_rejected: u64, n_poses: u64 },
+    /// The closures and the trajectory of a segment of a log, compared with the ground truth.
+    Closed {
+        log: String,
+        segment: u32,
+        n_revisits: u64,
+        n_closed: u64,
+        n_false: u64,
+        n_judged: u64,
+        ate_rmse_m: Option<f64>,
+    },
     /// A saved model, with its error by each grouping.
     Trained { model: String, version: String, rounds: u64, errors: Vec<GroupingError> },
     /// Errors of a learner by a grouping, after some rounds.
@@ -96,6 +106,20 @@ impl fmt::Display for Summary {
                 f,
                 "{log}: {n_accepted} closures accepted, {n_rejected} rejected; {n_poses} poses"
             ),
+            Self::Closed { log, segment, n_revisits, n_closed, n_false, n_judged, ate_rmse_m } => {
+                f.write_str(log)?;
+                if 0 < *segment {
+                    write!(f, " (segment {segment})")?;
+                }
+                write!(
+                    f,
+                    ": {n_closed} of {n_revisits} revisits closed, {n_false} of {n_judged} closures false"
+                )?;
+                match ate_rmse_m {
+                    Some(ate_rmse_m) => write!(f, ", trajectory error {ate_rmse_m:.3} m"),
+                    None => Ok(()),
+                }
+            }
             Self::Trained { model, version, rounds, errors } => {
                 let errors: Vec<String> = errors
                     .iter()

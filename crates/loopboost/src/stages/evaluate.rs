@@ -8,7 +8,7 @@ use dataset::tables::{
     read_pairs, read_retrieval, read_rounds, read_scores, write_file,
 };
 use dataset::{Keyframe, Note, Scan};
-use evaluate::detection::{self, Drive};
+use evaluate::detection::{self, Drive, DriveMeasures, PoseSource};
 use evaluate::{ClosureReport, ClosureSketches, Evaluation, Fact, Input, Sketches};
 
 use crate::config::Config;
@@ -69,8 +69,9 @@ fn evaluate_closures(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -
     let (digests, options) = (digests_of_logs(run)?, options(&run.config)?);
     let html = evaluate::closure_report(name, &closures, (&digests, &options), provenance);
     outputs.push(write_report(run, &html)?);
-    let written = Summary::Written { file: Artifact::Report.pattern().to_owned() };
-    Ok(Done { outputs, summaries: vec![written], ..Done::default() })
+    let mut summaries = closed(&measures);
+    summaries.push(Summary::Written { file: Artifact::Report.pattern().to_owned() });
+    Ok(Done { outputs, summaries, ..Done::default() })
 }
 
 /// As [`run`], and then prints the numbers.
@@ -123,7 +124,8 @@ fn evaluate(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -> Result<
     each_scan(run, &keyframes, |k, scan| sketches.add(&input, k, scan))?;
 
     let outputs = write(run, provenance, &input, &evaluation, &sketches, (&digests, &options))?;
-    let mut summaries = summaries(&input, &evaluation);
+    let mut summaries = closed(&evaluation.detection);
+    summaries.extend(self::summaries(&input, &evaluation));
     if !evaluation.is_validated_on_unseen_ground() {
         summaries.push(Summary::NotValidatedOnUnseenGround);
     }
@@ -229,6 +231,25 @@ fn summaries(input: &Input<'_>, evaluation: &Evaluation) -> Vec<Summary> {
     evaluation.precision_recall.iter().map(of_curve).collect()
 }
 
+/// Revisits, false closures and the error of the trajectory, for drives with ground truth.
+fn closed(measures: &[DriveMeasures]) -> Vec<Summary> {
+    let of_drive = |of: &DriveMeasures| {
+        let truth = of.truth.as_ref()?;
+        let mut errors = truth.trajectories.iter();
+        let optimized = errors.find(|errors| errors.source == PoseSource::Optimized);
+        Some(Summary::Closed {
+            log: of.log.clone(),
+            segment: of.segment,
+            n_revisits: truth.revisits.all.n as u64,
+            n_closed: truth.revisits.all.n_closed as u64,
+            n_false: truth.closures.n_false_by_pose as u64,
+            n_judged: truth.closures.n_judged as u64,
+            ate_rmse_m: optimized.and_then(|errors| errors.ate_rmse_m),
+        })
+    };
+    measures.iter().filter_map(of_drive).collect()
+}
+
 /// All options of the run, for the last section of the report.
 fn options(config: &Config) -> Result<Vec<Fact>> {
     Ok(vec![
@@ -239,7 +260,10 @@ fn options(config: &Config) -> Result<Vec<Fact>> {
         fact("subsample", serde_json::to_string(&config.subsample)?),
         fact("label", serde_json::to_string(&config.label)?),
         fact("featurize", serde_json::to_string(&config.featurize)?),
+        fact("register", serde_json::to_string(&config.register)?),
+        fact("detect", serde_json::to_string(&config.detection())?),
         fact("train", serde_json::to_string(&config.train)?),
+        fact("optimize", serde_json::to_string(&config.optimize)?),
         fact("evaluate", serde_json::to_string(&config.evaluate)?),
     ])
 }
