@@ -223,6 +223,9 @@ struct PipelineArgs {
     /// Print the pipeline with all defaults, and stop
     #[arg(long)]
     print_config: bool,
+    /// Whether the command is a stage of loop detection, which has defaults without `[detect]`.
+    #[arg(skip)]
+    detects: bool,
 }
 
 impl Cli {
@@ -233,7 +236,8 @@ impl Cli {
                 let mode = if dry_run { Mode::DryRun { force } } else { Mode::Resume { force } };
                 args.execute(mode, strict, None, pipeline::run)
             }
-            Command::Stage(StageCommand { stage, args, strict, json, model }) => {
+            Command::Stage(StageCommand { stage, mut args, strict, json, model }) => {
+                args.detects = [Stage::Register, Stage::Detect, Stage::Optimize].contains(&stage);
                 match (stage, &model) {
                     (Stage::Evaluate, _) if json => {
                         args.execute(Mode::Quiet, true, model, stages::evaluate::run_and_print)
@@ -294,6 +298,9 @@ impl PipelineArgs {
         stage: fn(&Run) -> Result<Findings>,
     ) -> Result<Findings, Failure> {
         let mut config = Config::load(&self.pipeline, &self.overrides)?;
+        if self.detects {
+            config.detect.get_or_insert_default();
+        }
         let model = model.map(|path| UsedModel::load(&path)).transpose()?;
         if let Some(model) = model.as_ref().filter(|_| config.detection().classifier) {
             model.set_features(&mut config)?;

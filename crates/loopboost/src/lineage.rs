@@ -185,7 +185,9 @@ pub(crate) fn verify(folder: &Path, config: Option<&Config>) -> Result<()> {
         match name.ends_with(".json") {
             true => out!("not checked: the model {name} is outside the run folder"),
             false => {
-                out!("not checked: log {name} is outside the run folder; pass the pipeline with --pipeline");
+                out!(
+                    "not checked: log {name} is outside the run folder; pass the pipeline with --pipeline"
+                );
             }
         }
     }

@@ -4,6 +4,7 @@ use dataset::{CandidateClosure, RegisteredScan, ScanId};
 use detect::{Candidate, Places, find_candidates};
 use optimize::Proposal;
 
+use crate::config::usage;
 use crate::drives::{RegisteredDrive, closure_row, registered_drives};
 use crate::findings::Findings;
 use crate::run::{Done, Run};
@@ -15,10 +16,29 @@ use crate::summary::Summary;
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut task = run.task_of(Stage::Detect)?;
     if run.model.is_none() {
+        check_registered(run)?;
         // Without a model there is no classifier, and the features are not used.
         task.inputs.retain(|input| *input != run.path_of(Artifact::Features));
     }
     run.task(&task, |provenance| detect(run, &provenance))
+}
+
+/// Without `--model`, the command is the stage alone.
+fn check_registered(run: &Run) -> Result<()> {
+    if run.is_dry() {
+        return Ok(());
+    }
+    for log in run.ingested_logs()? {
+        let path = run.path_of_log(Artifact::Registered, &log.name);
+        if !path.exists() {
+            return Err(usage(format!(
+                "{} does not exist; to find loop closures in logs, name a model with `--model MODEL.json`; to run the stage `detect` alone, run `{}` first",
+                path.display(),
+                Stage::Register.command()
+            )));
+        }
+    }
+    Ok(())
 }
 
 fn detect(run: &Run, provenance: &Provenance) -> Result<Done> {
