@@ -39,8 +39,8 @@ pub(crate) struct Reference {
     values: Vec<i16>,
     /// Squares between two rows of `values`.
     stride: usize,
-    /// Row and column of each wall.
-    walls: Vec<[u32; 2]>,
+    /// Index of each wall in [`Turned::free`], without the margin.
+    walls: Vec<u32>,
 }
 
 /// A submap at each of the headings.
@@ -55,8 +55,8 @@ pub(crate) struct Query {
 /// A submap at one heading.
 #[derive(Debug, Clone)]
 struct Turned {
-    /// Row and column of each wall.
-    walls: Vec<[u32; 2]>,
+    /// Index of each wall in [`Reference::values`], without the margin.
+    walls: Vec<u32>,
     /// 1 for free squares, with a margin of [`REACH`] squares.
     free: Vec<u8>,
 }
@@ -103,6 +103,7 @@ impl Reference {
             values[(a as usize + REACH) * stride + b as usize + REACH] -= UNIT as i16;
         }
         clear_margin(&mut values, n, stride);
+        let walls = walls.into_iter().map(|wall| flat(wall, n + FREE_LANES)).collect();
         Self { values, stride, walls }
     }
 
@@ -110,6 +111,11 @@ impl Reference {
     pub(crate) fn n_walls(&self) -> usize {
         self.walls.len()
     }
+}
+
+/// Index of a square in an image with this many squares per row.
+fn flat([row, column]: [u32; 2], stride: usize) -> u32 {
+    row * stride as u32 + column
 }
 
 /// What is outside the submap is unknown.
@@ -155,7 +161,7 @@ impl Turned {
         for [a, b] in free.iter().filter_map(|&f| turn(f)) {
             image[(a as usize + REACH) * stride + b as usize + REACH] = 1;
         }
-        Self { walls: turned, free: image }
+        Self { walls: turned.into_iter().map(|wall| flat(wall, n + LANES)).collect(), free: image }
     }
 }
 
@@ -245,12 +251,12 @@ fn heading_rad(k: usize) -> f64 {
 #[inline(always)]
 fn sum_values(reference: &Reference, turned: &Turned, shift: usize) -> [i32; LANES] {
     let mut sums = [0i32; LANES];
+    let shifted = &reference.values[shift * reference.stride..];
     for walls in turned.walls.chunks(MAX_VALUES) {
         let mut short = [0i16; LANES];
-        for &[a, b] in walls {
-            let at = (a as usize + shift) * reference.stride + b as usize;
+        for &at in walls {
             // The margin has room for all lanes.
-            let Some(values) = reference.values[at..].first_chunk::<LANES>() else { break };
+            let Some(values) = shifted[at as usize..].first_chunk::<LANES>() else { break };
             for k in 0..LANES {
                 short[k] += values[k];
             }
@@ -266,15 +272,14 @@ fn sum_values(reference: &Reference, turned: &Turned, shift: usize) -> [i32; LAN
 /// in descending order.
 #[inline(always)]
 fn sum_free(reference: &Reference, turned: &Turned, shift: usize, n: usize) -> [i32; FREE_LANES] {
-    let stride = n + FREE_LANES;
     let mut sums = [0i32; FREE_LANES];
+    // Begins with the square of the query that the shift moves to the first square of the reference.
+    let shifted = &turned.free[(2 * REACH - shift) * (n + FREE_LANES)..];
     for walls in reference.walls.chunks(MAX_FREE) {
         let mut short = [0u8; FREE_LANES];
-        for &[a, b] in walls {
-            // The square of the query that the shift moves to the wall.
-            let at = (a as usize + 2 * REACH - shift) * stride + b as usize;
+        for &at in walls {
             // The margin has room for all lanes.
-            let Some(free) = turned.free[at..].first_chunk::<FREE_LANES>() else { break };
+            let Some(free) = shifted[at as usize..].first_chunk::<FREE_LANES>() else { break };
             for k in 0..FREE_LANES {
                 short[k] += free[k];
             }
