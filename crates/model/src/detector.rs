@@ -28,7 +28,7 @@ pub struct Detector {
     /// No wrong candidate of the training logs has this evidence. A closure that has it can be trusted
     /// on its own. `optimize` does not require it: see docs/detection.md.
     pub strong: StrongLimits,
-    /// Number of places that are compared with each place.
+    /// Number of candidates per place.
     pub n_candidates: u32,
     /// How well the verifiers describe the candidates that they were fitted to. Absent if they were
     /// not fitted.
