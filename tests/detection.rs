@@ -197,7 +197,7 @@ fn loop_detection_gives_the_same_bytes_with_any_number_of_threads() {
         }
     }
     let (closures, _) = read_closures(&workplace.path("one/closures.parquet")).unwrap();
-    assert!(closures.iter().any(|closure| closure.is_accepted()));
+    assert!(closures.iter().any(dataset::JudgedClosure::is_accepted));
 }
 
 /// `LOOPBOOST_KILLS` sets the number of kills.

@@ -204,7 +204,7 @@ mod tests {
                 near_share: 1.0,
                 weakness: None,
                 is_degenerate: false,
-                is_keyframe: k % 3 == 0,
+                is_keyframe: k.is_multiple_of(3),
                 segment: 0,
                 travel_m: 1.1 * x_m,
             }

@@ -20,7 +20,7 @@ pub fn write_candidates(
     provenance: &Provenance,
     rows: &[CandidateClosure],
 ) -> Result<()> {
-    let mut columns = closure_columns(rows.iter().map(|row| &row.closure));
+    let mut columns = closure_columns(&rows.iter().map(|row| &row.closure));
     columns.push(("rank", Arc::new(UInt32Array::from_iter_values(rows.iter().map(|r| r.rank)))));
     write_table(path, "candidates", provenance, &batch(columns, &["classifier"]))
 }
@@ -36,7 +36,7 @@ pub fn read_candidates(path: &Path) -> Result<(Vec<CandidateClosure>, Provenance
 
 /// Writes `closures.parquet`: one row per closure that was accepted or rejected.
 pub fn write_closures(path: &Path, provenance: &Provenance, rows: &[JudgedClosure]) -> Result<()> {
-    let mut columns = closure_columns(rows.iter().map(|row| &row.closure));
+    let mut columns = closure_columns(&rows.iter().map(|row| &row.closure));
     let accepted = rows.iter().map(|row| Some(row.is_accepted())).collect::<BooleanArray>();
     let reasons = rows.iter().map(|row| row.rejected.as_deref()).collect::<StringArray>();
     columns.push(("accepted", Arc::new(accepted)));
@@ -68,7 +68,7 @@ pub fn read_closures(path: &Path) -> Result<(Vec<JudgedClosure>, Provenance)> {
 
 /// The columns of closures.
 fn closure_columns<'a>(
-    rows: impl Iterator<Item = &'a ScanClosure> + Clone,
+    rows: &(impl Iterator<Item = &'a ScanClosure> + Clone),
 ) -> Vec<(&'static str, ArrayRef)> {
     let numbers = |of: fn(&ScanClosure) -> f64| floats(rows.clone().map(of));
     let counts = |of: fn(&ScanClosure) -> u32| -> ArrayRef {

@@ -52,7 +52,7 @@ fn read(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
             losses.merge(piece.losses);
         }
     }
-    let mut losses = of_topics(losses, &pose_topics);
+    let mut losses = of_topics(&losses, &pose_topics);
     let mut notes: Vec<_> = pose_topics.iter().flat_map(|topic| topic.notes.clone()).collect();
     let is_own_frame = pose.is_own_frame() || (motion.has_fixes() && pose.origin.is_none());
     let path = drive.path();
@@ -68,7 +68,7 @@ fn read(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
 }
 
 /// The losses of messages on these topics.
-fn of_topics(losses: Losses, topics: &[&Topic]) -> Losses {
+fn of_topics(losses: &Losses, topics: &[&Topic]) -> Losses {
     let mut of_topics = Losses::default();
     for (loss, n) in losses.iter() {
         if topics.iter().any(|topic| loss.subject.topic.as_deref() == Some(&*topic.name)) {
