@@ -92,8 +92,8 @@ struct ComparedKeyframes {
     compared: Compared,
 }
 
-/// Compares each keyframe with the earlier keyframes near it. Submaps keep the poses of scan matching,
-/// so that a closure is a measurement of its scans alone.
+/// Compares each keyframe with the earlier keyframes near it. The submaps have the optimized poses, which
+/// are less bent than those of scan matching.
 fn compare_keyframes(
     drive: &Drive<'_>,
     poses: &[Pose2],
@@ -113,7 +113,7 @@ fn compare_keyframes(
         }
     }
     let scans: Vec<usize> = used.iter().map(|&k| keyframes[k]).collect();
-    let places = make_places(drive, &drive.poses, &scans, HALF_M);
+    let places = make_places(drive, poses, &scans, HALF_M);
     compare(&places, &predicted)
         .into_iter()
         .map(|compared| ComparedKeyframes {

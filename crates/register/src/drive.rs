@@ -51,8 +51,6 @@ pub struct OdometryScan<'a> {
     pub scan: &'a Scan,
     /// Pose of the lidar by odometry.
     pub odometry: Pose2,
-    /// Covariance of the odometry since the start of the drive, if it is known: x, y, heading.
-    pub covariance: Option<Matrix3<f64>>,
     /// Whether the scan is a keyframe. A keyframe is always registered.
     pub is_keyframe: bool,
 }
@@ -158,7 +156,12 @@ pub fn register_drive(
         .collect();
     let path_m = path_m(&odometry);
     let pairs = pairs_along_path(&path_m, PAIR_PATH_M, PAIR_EVERY_M, PAIR_LAST);
-    let joint = JointScans { points: &points, odometry: &odometry, path_m: &path_m };
+    let used: Vec<Points> = points
+        .into_iter()
+        .zip(&matched)
+        .map(|(points, matched)| if matched.is_used { points } else { Points::default() })
+        .collect();
+    let joint = JointScans { points: &used, odometry: &odometry, path_m: &path_m };
     let poses: Vec<Pose2> = matched.iter().map(|matched| matched.pose).collect();
     let poses = align_jointly(&joint, &poses, &pairs, noise, &JointOptions::default());
     let registered = chosen.iter().zip(&poses).zip(&matched);

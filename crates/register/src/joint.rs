@@ -5,6 +5,7 @@ use model::OdometryNoise;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
+use crate::align::discount_normals;
 use crate::points::{Motion, Points};
 use crate::sparse::BlockSystem;
 use crate::target::Target;
@@ -261,10 +262,11 @@ fn pair_term(source: &Points, target: &Target, target_from_source: &Pose2, gates
         gy += w * residual_m * n[1];
         gh += w * residual_m * h;
     }
-    Term {
-        information: Matrix3::new(xx, xy, xh, xy, yy, yh, xh, yh, hh),
-        gradient: Vector3::new(gx, gy, gh),
-    }
+    let (information, gradient) = discount_normals(
+        &Matrix3::new(xx, xy, xh, xy, yy, yh, xh, yh, hh),
+        &Vector3::new(gx, gy, gh),
+    );
+    Term { information, gradient }
 }
 
 /// The difference of a step from that of the odometry.

@@ -39,7 +39,6 @@ impl Simulated {
             .map(|(k, (scan, &odometry))| OdometryScan {
                 scan,
                 odometry,
-                covariance: None,
                 is_keyframe: k % 3 == 0,
             })
             .collect()

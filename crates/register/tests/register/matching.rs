@@ -70,8 +70,8 @@ fn error_over_10_m(truth: &[Pose2], estimated: &[Pose2]) -> (f64, f64) {
     )
 }
 
-/// The odometry turns by 4 deg per metre too much and is 5 % too long: 3.6 m off after 10 m. Both kinds
-/// of scanners correct it.
+/// The odometry turns by 4 deg per metre too much and is 5 % too long: 40 deg and 3.6 m off after 10 m.
+/// Both kinds of scanners correct it.
 #[test]
 fn odometry_that_drifts_by_degrees_per_metre_is_corrected() {
     let (world, truth) = (World::ring_corridor(), lap());
@@ -83,7 +83,7 @@ fn odometry_that_drifts_by_degrees_per_metre_is_corrected() {
             matched(&world, &truth, &odometry, coverage_deg, MatcherOptions::default(), noise());
         let poses: Vec<Pose2> = matched.iter().map(|matched| matched.pose).collect();
         let (error_m, error_deg) = error_over_10_m(&truth, &poses);
-        assert!(error_m < 0.03 && error_deg < 0.3, "{coverage_deg}: {error_m} m, {error_deg} deg");
+        assert!(error_m < 0.03 && error_deg < 0.6, "{coverage_deg}: {error_m} m, {error_deg} deg");
     }
 }
 
