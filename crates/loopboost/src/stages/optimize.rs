@@ -208,7 +208,6 @@ fn aligned_poses(
         .map(|(posed, scan)| OdometryScan {
             scan,
             odometry: posed.odometry.pose,
-            covariance: posed.odometry.covariance.map(matrix),
             is_keyframe: rows.get(&posed.scan).is_some_and(|&row| registered.rows[row].is_keyframe),
         })
         .collect();

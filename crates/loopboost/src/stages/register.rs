@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use register::{OdometryScan, RegisterOptions, register_drive};
 
 use crate::drives::{
-    DEGENERATE_RATIO, PosedScan, matrix, posed_scans, registration_limits, scans_of, upper_triangle,
+    DEGENERATE_RATIO, PosedScan, posed_scans, registration_limits, scans_of, upper_triangle,
 };
 use crate::findings::Findings;
 use crate::logs::LogFile;
@@ -107,7 +107,6 @@ impl Segment {
             .map(|(posed, scan)| OdometryScan {
                 scan,
                 odometry: posed.odometry.pose,
-                covariance: posed.odometry.covariance.map(matrix),
                 is_keyframe: keyframes.contains(&id(posed.scan)),
             })
             .collect();

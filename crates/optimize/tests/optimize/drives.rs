@@ -36,11 +36,7 @@ impl Simulated {
     fn odometry_scans(&self) -> Vec<OdometryScan<'_>> {
         let scans = self.scans.iter().zip(&self.odometry).enumerate();
         scans
-            .map(|(k, (scan, &odometry))| OdometryScan {
-                scan,
-                odometry,
-                is_keyframe: k % 3 == 0,
-            })
+            .map(|(k, (scan, &odometry))| OdometryScan { scan, odometry, is_keyframe: k % 3 == 0 })
             .collect()
     }
 
