@@ -90,8 +90,8 @@ impl BlockSystem {
             let diagonal = cholesky(&blocks[entries.start])?;
             let inverse = lower_inverse(&diagonal);
             blocks[entries.start] = diagonal;
-            for entry in entries.start + 1..entries.end {
-                blocks[entry] *= inverse.transpose();
+            for block in &mut blocks[entries.start + 1..entries.end] {
+                *block *= inverse.transpose();
             }
             for first in entries.start + 1..entries.end {
                 self.subtract_products(&mut blocks, first, entries.end);
