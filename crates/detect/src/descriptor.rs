@@ -112,14 +112,14 @@ impl Describer {
     fn log_amplitudes(&self, submap: &Submap) -> Vec<f64> {
         let mut sums = vec![[[0.0; N_FREQUENCIES]; 4]; N_FREQUENCIES];
         for (row, squares) in submap.squares().chunks_exact(self.n).enumerate() {
-            let mut of_row = [[0.0; N_FREQUENCIES]; 2];
+            let [mut re, mut im] = [[0.0; N_FREQUENCIES]; 2];
             let mut is_empty = true;
             for (column, _) in squares.iter().enumerate().filter(|(_, s)| **s == Square::Occupied) {
                 is_empty = false;
-                for frequency in 0..N_FREQUENCIES {
+                for (frequency, (re, im)) in re.iter_mut().zip(&mut im).enumerate() {
                     let [cos, sin] = self.circle[column * frequency % self.n];
-                    of_row[0][frequency] += cos;
-                    of_row[1][frequency] -= sin;
+                    *re += cos;
+                    *im -= sin;
                 }
             }
             if is_empty {
@@ -129,10 +129,10 @@ impl Describer {
                 let [cos, sin] = self.circle[row * frequency % self.n];
                 let [re_cos, re_sin, im_cos, im_sin] = sums;
                 for k in 0..N_FREQUENCIES {
-                    re_cos[k] += of_row[0][k] * cos;
-                    re_sin[k] += of_row[0][k] * sin;
-                    im_cos[k] += of_row[1][k] * cos;
-                    im_sin[k] += of_row[1][k] * sin;
+                    re_cos[k] += re[k] * cos;
+                    re_sin[k] += re[k] * sin;
+                    im_cos[k] += im[k] * cos;
+                    im_sin[k] += im[k] * sin;
                 }
             }
         }

@@ -288,7 +288,7 @@ mod tests {
         for n in [1usize, 2, 5, 30] {
             let mut pairs: Vec<(usize, usize)> = (1..n).map(|k| (k - 1, k)).collect();
             for _ in 0..n {
-                pairs.push((random.below(n as u64) as usize, random.below(n as u64) as usize));
+                pairs.push((random.below(n as u64), random.below(n as u64)));
             }
             pairs.retain(|(a, b)| a != b);
             let mut system = BlockSystem::new(n, pairs.iter().copied());

@@ -262,7 +262,7 @@ mod tests {
     #[test]
     fn the_direction_in_turns_is_that_of_atan2() {
         for k in 0..10_000 {
-            let angle = (f64::from(k) - 5000.0) / 5000.0 * 3.141;
+            let angle = (f64::from(k) - 4999.5) / 5000.0 * std::f64::consts::PI;
             let found = turns([2.0 * angle.cos(), 2.0 * angle.sin()]);
             let expected = angle / std::f64::consts::TAU + 0.5;
             assert!((found - expected).abs() < 2e-6, "{angle}: {found}, expected {expected}");

@@ -44,8 +44,8 @@ fn right_closure(truth: &[Pose2], a: usize, b: usize, random: &mut SplitMix64) -
 
 /// A wrong relative pose: two places that look alike, at any heading.
 fn wrong_closure(n: usize, random: &mut SplitMix64) -> Edge {
-    let b = 40 + random.below(n as u64 - 40) as usize;
-    let a = random.below(b as u64 - 30) as usize;
+    let b = 40 + random.below(n as u64 - 40);
+    let a = random.below(b as u64 - 30);
     let mut within = |half: f64| half * (2.0 * random.unit() - 1.0);
     let measured = pose(within(2.0), within(2.0), within(3.0));
     Edge::independent(a, b, measured, 0.05, 0.01)
