@@ -119,9 +119,15 @@ impl Alignment {
     ///
     /// The noise of the points is `noise_m`, or larger if their residuals are.
     pub fn covariance(&self, options: &AlignOptions) -> Option<Matrix3<f64>> {
-        let excess = (self.rms_m / options.noise_m).max(1.0);
-        let information = self.information / (excess * excess) + self.prior_information;
+        let information = self.scaled_information(options) + self.prior_information;
         information.cholesky().map(|factor| factor.inverse())
+    }
+
+    /// Inverse covariance from the points alone. Their noise is `noise_m`, or larger if their residuals
+    /// are.
+    pub(crate) fn scaled_information(&self, options: &AlignOptions) -> Matrix3<f64> {
+        let excess = (self.rms_m / options.noise_m).max(1.0);
+        self.information / (excess * excess)
     }
 
     /// The direction in which the points determine the position worst.

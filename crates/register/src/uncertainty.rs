@@ -18,7 +18,9 @@ const UNKNOWN_STD_RAD: f64 = 0.5;
 /// of the target.
 ///
 /// 1. The inverse of the information of the points, times the variance of their residuals, times
-///    [`ClosureNoise::covariance_factor`].
+///    [`ClosureNoise::covariance_factor`]. Before the inverse, the information of a search is added, which
+///    found the pose within 1 m and 0.5 rad, so that a direction without any information has a variance,
+///    too.
 /// 2. Plus the squares of the standard deviations of [`ClosureNoise`].
 /// 3. If the ratio r of [`Alignment::weakness`] is below 0.1, the variance along the weak direction
 ///    grows by `(1 m)^2 (1 - r / 0.1)^2`. In a corridor, every position along it looks the same, and the
@@ -28,12 +30,12 @@ pub fn closure_covariance(
     options: &AlignOptions,
     noise: &ClosureNoise,
 ) -> Matrix3<f64> {
-    let unknown = Vector3::new(WEAK_STD_M, WEAK_STD_M, UNKNOWN_STD_RAD).map(|std| std * std);
-    let from_points = alignment.covariance(options).filter(|c| c.iter().all(|v| v.is_finite()));
-    let mut covariance = match from_points {
-        Some(covariance) => covariance * noise.covariance_factor,
-        None => Matrix3::from_diagonal(&unknown),
-    };
+    let unknown =
+        Vector3::new(WEAK_STD_M, WEAK_STD_M, UNKNOWN_STD_RAD).map(|std| 1.0 / (std * std));
+    let information = alignment.scaled_information(options) + Matrix3::from_diagonal(&unknown);
+    let from_points = information.cholesky().map(|factor| factor.inverse());
+    let unknown = || Matrix3::from_diagonal(&unknown.map(|weight| 1.0 / weight));
+    let mut covariance = from_points.map_or_else(unknown, |c| c * noise.covariance_factor);
     let least = Vector3::new(noise.std_m, noise.std_m, noise.std_rad).map(|std| std * std);
     covariance += Matrix3::from_diagonal(&least);
     if let Some(weakness) = alignment.weakness().filter(|w| w.ratio < WEAK_RATIO) {
