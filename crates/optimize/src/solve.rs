@@ -15,6 +15,9 @@ use crate::places::{chain, make_places};
 use crate::support::{Graph, Link};
 use crate::{Closure, Proposal, Reason, Solution};
 
+/// Proposals with more overlap are offered to the pose graph, whatever their confidence. What is right on
+/// one site has little confidence on another one, and the share test decides in the end.
+const LENIENT_OVERLAP: f64 = 0.25;
 /// Path between two places of the pose graph \[m\].
 const PLACE_STEP_M: f64 = 2.5;
 /// A submap holds the scans up to this far along the path before and after its place \[m\].
@@ -43,7 +46,10 @@ pub fn close_loops(
     scans.extend(proposals.iter().flat_map(|proposal| [proposal.query, proposal.reference]));
     scans.sort_unstable();
     scans.dedup();
-    let is_offered = |proposal: &Proposal| detector.min_confidence <= proposal.confidence;
+    let is_offered = |proposal: &Proposal| {
+        detector.min_confidence <= proposal.confidence
+            || LENIENT_OVERLAP < proposal.evidence.overlap
+    };
     let (offered, links): (Vec<usize>, Vec<Link>) = proposals
         .iter()
         .enumerate()

@@ -190,7 +190,10 @@ fn proposals_with_little_confidence_are_not_used() {
     let drive = Simulated::new(&World::ring_corridor(), two_laps(), 0.0);
     let (registered, at) = drive.registered();
     let mut proposals = right(&registered, &at, &drive.truth);
-    proposals.iter_mut().for_each(|proposal| proposal.confidence = 0.1);
+    for proposal in &mut proposals {
+        proposal.confidence = 0.1;
+        proposal.evidence.overlap = 0.2;
+    }
     let detector = Detector::starting_values();
     let solution = close_loops(&registered, &proposals, &detector, MIN_PATH_M);
     assert!(solution.closures.iter().all(|c| c.rejected == Some(Reason::LowConfidence)));
