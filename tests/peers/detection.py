@@ -195,7 +195,7 @@ STAGES = "| log | revisits | retrieved | proposed | kept | closed within 5 m of 
 
 def row(name, m, secs):
     count = lambda key: f"{m.get(key, 0):.0f}"
-    number = lambda key, digits: f"{m[key]:.{digits}f}" if key in m else "-"
+    number = lambda key, digits: f"{m[key]:.{digits}f}" if m.get(key) is not None else "-"
     closed = f"{count('revisits_closed')} of {count('revisits')}"
     share = f" ({m['revisits_closed'] / m['revisits']:.3f})" if m.get("revisits") else ""
     opposite = f"{count('revisits_closed_opposite_direction')} of {count('revisits_opposite_direction')}"
