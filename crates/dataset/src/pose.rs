@@ -24,6 +24,17 @@ impl Pose2 {
         wrap_angle(self.heading_rad - other.heading_rad).abs()
     }
 
+    /// The pose at a share of the way to another one: 0 is this pose, 1 the other one. The position is
+    /// interpolated linearly, the heading along the shorter arc.
+    pub fn towards(&self, other: &Self, share: f64) -> Self {
+        let turn_rad = wrap_angle(other.heading_rad - self.heading_rad);
+        Self {
+            x_m: self.x_m + share * (other.x_m - self.x_m),
+            y_m: self.y_m + share * (other.y_m - self.y_m),
+            heading_rad: wrap_angle(self.heading_rad + share * turn_rad),
+        }
+    }
+
     /// The inverse transform: `b_from_a` if `self` is `a_from_b`.
     pub fn inverse(&self) -> Self {
         let (sin, cos) = libm::sincos(self.heading_rad);
@@ -169,13 +180,7 @@ impl Trajectory {
             return Err(NoPose::Gap);
         }
         let share = (stamp_ns - previous.stamp_ns) as f64 / gap_ns as f64;
-        let (a, b) = (&previous.pose, &next.pose);
-        let turned_rad = wrap_angle(b.heading_rad - a.heading_rad);
-        let pose = Pose2 {
-            x_m: a.x_m + share * (b.x_m - a.x_m),
-            y_m: a.y_m + share * (b.y_m - a.y_m),
-            heading_rad: wrap_angle(a.heading_rad + share * turned_rad),
-        };
+        let pose = previous.pose.towards(&next.pose, share);
         let covariance = match (previous.covariance, next.covariance) {
             (Some(a), Some(b)) => Some(std::array::from_fn(|k| a[k] + share * (b[k] - a[k]))),
             _ => None,

@@ -198,7 +198,7 @@ impl Finder<'_> {
             n_known: fit.n_known as u32,
             conflict: fit.known_conflict(),
             margin: correlated.margin,
-            weakness: fit.alignment.weakness().map_or(0.0, |weakness| weakness.ratio),
+            weakness: fit.alignment.weakness.map_or(0.0, |weakness| weakness.ratio),
             classifier: self.classify.map(|classify| classify(query, reference)),
         };
         Some(Candidate {

@@ -167,7 +167,7 @@ impl Descriptors {
         assert!(m <= QUERIES_PER_BLOCK && n <= REFERENCES_PER_BLOCK);
         assert!(products.len() == QUERIES_PER_BLOCK * REFERENCES_PER_BLOCK);
         // SAFETY: `a` has m rows and `b` has n rows of `len` values, and `products` has
-        // `QUERIES_PER_BLOCK` rows of `REFERENCES_PER_BLOCK` values, of which m by n are written.
+        // `QUERIES_PER_BLOCK` rows of `REFERENCES_PER_BLOCK` values. The first n values of the first m rows are written.
         unsafe {
             matrixmultiply::sgemm(
                 m,

@@ -4,8 +4,7 @@ use dataset::{Pose2, RangeLimits};
 use rayon::prelude::*;
 use register::{AlignOptions, Drive, OdometryScan, Points, Prior, Target, align, points_of};
 
-use crate::guided::Squares;
-use crate::places::between;
+use crate::guided::NearPoses;
 
 /// The map of a scan consists of the scans of the drive up to this far from it \[m\].
 const NEAR_M: f64 = 2.5;
@@ -41,7 +40,7 @@ pub fn align_every_scan(
 ) -> Vec<Pose2> {
     assert!(poses.len() == drive.scans.len() && registered.len() == poses.len());
     let mut every = carried(poses, registered, scans);
-    let squares = Squares::of_size(poses, NEAR_M);
+    let near_poses = NearPoses::new(poses, NEAR_M);
     let pieces: Vec<Vec<(usize, Pose2)>> = (0..registered.len())
         .into_par_iter()
         .map(|k| {
@@ -50,7 +49,7 @@ pub fn align_every_scan(
             if between.is_empty() {
                 return Vec::new();
             }
-            let target = local_map(drive, poses, &squares, k);
+            let target = local_map(drive, poses, &near_poses, k);
             let node_from_map = poses[k].inverse();
             between
                 .filter_map(|scan| {
@@ -69,8 +68,8 @@ pub fn align_every_scan(
 }
 
 /// The points around scan `k` of the drive, in its frame.
-fn local_map(drive: &Drive<'_>, poses: &[Pose2], squares: &Squares, k: usize) -> Target {
-    let mut near: Vec<(f64, usize)> = squares
+fn local_map(drive: &Drive<'_>, poses: &[Pose2], near_poses: &NearPoses, k: usize) -> Target {
+    let mut near: Vec<(f64, usize)> = near_poses
         .around(&poses[k])
         .filter(|&other| poses[other].distance_m(&poses[k]) <= NEAR_M)
         .map(|other| {
@@ -127,7 +126,7 @@ fn carried(poses: &[Pose2], registered: &[usize], scans: &[OdometryScan<'_>]) ->
                 true => 0.0,
                 false => ((path[scan] - start) / (end - start)).min(1.0),
             };
-            between(&from(k), &from(next), weight)
+            from(k).towards(&from(next), weight)
         })
         .collect()
 }

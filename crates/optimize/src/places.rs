@@ -1,6 +1,6 @@
 //! The vertices of the pose graph: places along a drive, with their submaps.
 
-use dataset::{Pose2, wrap_angle};
+use dataset::Pose2;
 use model::Drift;
 use rayon::prelude::*;
 use register::{BlurredMap, Drive, Node, SubmapOptions};
@@ -66,16 +66,7 @@ pub(crate) fn carry(before: &[Pose2], places: &[usize], after: &[Pose2]) -> Vec<
                 true => 0.0,
                 false => (scan - places[k]) as f64 / (places[next] - places[k]) as f64,
             };
-            between(&from(k), &from(next), weight)
+            from(k).towards(&from(next), weight)
         })
         .collect()
-}
-
-/// The pose between two poses that are close to each other.
-pub(crate) fn between(a: &Pose2, b: &Pose2, weight: f64) -> Pose2 {
-    Pose2 {
-        x_m: a.x_m + weight * (b.x_m - a.x_m),
-        y_m: a.y_m + weight * (b.y_m - a.y_m),
-        heading_rad: wrap_angle(a.heading_rad + weight * wrap_angle(b.heading_rad - a.heading_rad)),
-    }
 }

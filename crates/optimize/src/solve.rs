@@ -10,8 +10,8 @@ use register::{
 };
 
 use crate::graph::{Edge, covariances};
-use crate::guided::{Compared, Limit, Squares, compare, covariance, predictions};
-use crate::places::{chain, make_places};
+use crate::guided::{Compared, Limit, NearPoses, compare, covariance, predictions};
+use crate::places::{carry, chain, make_places};
 use crate::support::{Graph, Link};
 use crate::{Closure, Proposal, Reason, Solution};
 
@@ -82,13 +82,9 @@ pub fn close_loops(
         return unclosed(drive, proposals, &reasons, detector, outcome.rounds);
     };
     drop(places);
-    let poses = align_all(drive, &graph_poses(drive, &scans, &confirmed.poses), detector);
+    let poses = align_all(drive, &carry(&drive.poses, &scans, &confirmed), detector);
     let compared = compare_keyframes(drive, &poses, min_path_m);
     closed(drive, proposals, &reasons, detector, poses, &compared, outcome.rounds)
-}
-
-fn graph_poses(drive: &Drive<'_>, scans: &[usize], poses: &[Pose2]) -> Vec<Pose2> {
-    crate::places::carry(&drive.poses, scans, poses)
 }
 
 /// A pair of keyframes, after the comparison.
@@ -141,7 +137,7 @@ const LOOP_PARTNERS: usize = 6;
 
 /// Aligns all scans jointly, along the path and over the closures.
 fn align_all(drive: &Drive<'_>, poses: &[Pose2], detector: &Detector) -> Vec<Pose2> {
-    let mut pairs = pairs_along_path(&drive.path_m, 5.0, 0.5, 4);
+    let mut pairs = pairs_along_path(&drive.path_m);
     pairs.extend(pairs_over_closures(drive, poses));
     let scans =
         JointScans { points: &drive.points, odometry: &drive.odometry, path_m: &drive.path_m };
@@ -151,10 +147,10 @@ fn align_all(drive: &Drive<'_>, poses: &[Pose2], detector: &Detector) -> Vec<Pos
 
 /// Pairs of scans that are close by the poses but not along the path.
 fn pairs_over_closures(drive: &Drive<'_>, poses: &[Pose2]) -> Vec<(usize, usize)> {
-    let squares = Squares::of_size(poses, LOOP_REACH_M);
+    let near_poses = NearPoses::new(poses, LOOP_REACH_M);
     let mut pairs = Vec::new();
     for later in 0..poses.len() {
-        let mut near: Vec<(f64, usize)> = squares
+        let mut near: Vec<(f64, usize)> = near_poses
             .around(&poses[later])
             .filter(|&k| k < later && LOOP_GAP_M < drive.path_m[later] - drive.path_m[k])
             .filter(|&k| poses[k].distance_m(&poses[later]) <= LOOP_REACH_M)
@@ -230,7 +226,7 @@ fn closed(
             n_known: fit.n_known as u32,
             conflict: fit.known_conflict(),
             margin: proposal.map_or(0.0, |evidence| evidence.margin),
-            weakness: fit.alignment.weakness().map_or(0.0, |weakness| weakness.ratio),
+            weakness: fit.alignment.weakness.map_or(0.0, |weakness| weakness.ratio),
             classifier: proposal.and_then(|evidence| evidence.classifier),
         };
         let rejected = (!pair.compared.is_confirmed()).then_some(Reason::NotConfirmed);

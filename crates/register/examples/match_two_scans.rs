@@ -44,7 +44,7 @@ fn main() {
         let heading_deg = heading_rad.to_degrees();
         println!("standard deviations {x_m:.4} m, {y_m:.4} m, {heading_deg:.3} deg");
     }
-    if let Some(weakness) = aligned.weakness() {
+    if let Some(weakness) = aligned.weakness {
         println!("smallest over largest information about the position: {:.2}", weakness.ratio);
     }
 }

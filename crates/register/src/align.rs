@@ -129,11 +129,6 @@ impl Alignment {
         let excess = (self.rms_m / options.noise_m).max(1.0);
         self.information / (excess * excess)
     }
-
-    /// The direction in which the points determine the position worst.
-    pub fn weakness(&self) -> Option<Weakness> {
-        self.weakness
-    }
 }
 
 /// The directions of most and least information about the position, with the heading eliminated (Schur

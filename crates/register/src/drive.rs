@@ -155,7 +155,7 @@ pub fn register_drive(
         .map(|(points, pose)| matcher.add(points.clone(), pose))
         .collect();
     let path_m = path_m(&odometry);
-    let pairs = pairs_along_path(&path_m, PAIR_PATH_M, PAIR_EVERY_M, PAIR_LAST);
+    let pairs = pairs_along_path(&path_m);
     let used: Vec<Points> = points
         .into_iter()
         .zip(&matched)
@@ -175,13 +175,6 @@ pub fn register_drive(
         })
         .collect()
 }
-
-/// Scans are compared with those of the last metres of path \[m\].
-const PAIR_PATH_M: f64 = 5.0;
-/// After the last few, with one per this distance \[m\].
-const PAIR_EVERY_M: f64 = 0.5;
-/// With each of this many before it.
-const PAIR_LAST: usize = 4;
 
 /// The scans to register: the first one, keyframes, and those after enough path or turning.
 fn choose(scans: &[OdometryScan<'_>], options: &RegisterOptions) -> Vec<usize> {

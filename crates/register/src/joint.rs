@@ -135,23 +135,26 @@ pub fn align_jointly(
     poses
 }
 
-/// Pairs of scans along the path: each with the last few before it, and then with one per `every_m` of
-/// path, up to `reach_m` before it.
-pub fn pairs_along_path(
-    path_m: &[f64],
-    reach_m: f64,
-    every_m: f64,
-    n_last: usize,
-) -> Vec<(usize, usize)> {
+/// Scans are compared with those of the last metres of path \[m\].
+const PAIR_PATH_M: f64 = 5.0;
+/// After the last few, with one per this distance \[m\].
+const PAIR_EVERY_M: f64 = 0.5;
+/// With each of this many before it.
+const PAIR_LAST: usize = 4;
+
+/// Pairs of scans along the path: each with the last four before it, and then with one per 0.5 m of path,
+/// up to 5 m before it.
+pub fn pairs_along_path(path_m: &[f64]) -> Vec<(usize, usize)> {
     let mut pairs = Vec::new();
     for later in 0..path_m.len() {
         let mut last = None;
         for (count, earlier) in (0..later).rev().enumerate() {
-            if reach_m < path_m[later] - path_m[earlier] || MAX_SCANS_BACK <= count {
+            if PAIR_PATH_M < path_m[later] - path_m[earlier] || MAX_SCANS_BACK <= count {
                 break;
             }
-            let is_due = last.is_none_or(|last: usize| every_m <= path_m[last] - path_m[earlier]);
-            if count < n_last || is_due {
+            let is_due =
+                last.is_none_or(|last: usize| PAIR_EVERY_M <= path_m[last] - path_m[earlier]);
+            if count < PAIR_LAST || is_due {
                 pairs.push((earlier, later));
                 last = Some(earlier);
             }

@@ -45,7 +45,7 @@
 //! let aligned =
 //!     align(&Points::from_scan(&scan(0.3), limits), &target, &start, &Prior::none(start), &options);
 //! assert!((aligned.target_from_source.x_m - 0.3).abs() < 1e-3, "{aligned:?}");
-//! assert!(aligned.weakness().unwrap().ratio > 0.2);
+//! assert!(aligned.weakness.unwrap().ratio > 0.2);
 //! ```
 
 mod align;

@@ -97,7 +97,7 @@ const CONTRADICTION: f64 = 16.0;
 
 /// Whether the points lie along one direction and the odometry disagrees.
 fn contradicts(aligned: &Alignment, prior: &Prior) -> bool {
-    aligned.weakness().is_none_or(|weakness| weakness.ratio < ONE_DIRECTION)
+    aligned.weakness.is_none_or(|weakness| weakness.ratio < ONE_DIRECTION)
         && CONTRADICTION < prior.chi2(&aligned.target_from_source)
 }
 
@@ -170,7 +170,7 @@ impl ScanMatcher {
             pose,
             covariance: aligned.covariance(&self.options.align),
             near_share: aligned.near_share,
-            weakness: aligned.weakness(),
+            weakness: aligned.weakness,
             is_used: true,
         }
     }

@@ -38,7 +38,7 @@ pub fn closure_covariance(
     let mut covariance = from_points.map_or_else(unknown, |c| c * noise.covariance_factor);
     let least = Vector3::new(noise.std_m, noise.std_m, noise.std_rad).map(|std| std * std);
     covariance += Matrix3::from_diagonal(&least);
-    if let Some(weakness) = alignment.weakness().filter(|w| w.ratio < WEAK_RATIO) {
+    if let Some(weakness) = alignment.weakness.filter(|w| w.ratio < WEAK_RATIO) {
         let (sin, cos) = libm::sincos(weakness.direction_rad);
         let along =
             Vector3::new(cos, sin, 0.0) * (WEAK_STD_M * (1.0 - weakness.ratio / WEAK_RATIO));

@@ -3,21 +3,13 @@
 use dataset::{Pose2, RangeLimits, Scan, SplitMix64};
 use register::{Drive, Points};
 
-/// Walls as pairs of end points \[m\].
-#[derive(Clone)]
-pub struct World(pub Vec<[[f64; 2]; 2]>);
+pub use crate::walls::World;
 
 pub fn pose(x_m: f64, y_m: f64, heading_deg: f64) -> Pose2 {
     Pose2 { x_m, y_m, heading_rad: dataset::wrap_angle(heading_deg.to_radians()) }
 }
 
 impl World {
-    /// The four walls of a rectangle.
-    pub fn add_rectangle(&mut self, [x0, y0]: [f64; 2], [x1, y1]: [f64; 2]) {
-        let corners = [[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
-        self.0.extend((0..4).map(|k| [corners[k], corners[(k + 1) % 4]]));
-    }
-
     /// A room of 12 m by 8 m around the origin with boxes along the walls and one that stands free. No
     /// turn maps it onto itself.
     pub fn room() -> Self {
@@ -73,51 +65,11 @@ impl World {
         world
     }
 
-    /// A scan with a step of 1 deg over `coverage_deg`, with Gaussian range noise. Beams without a wall
-    /// within 30 m have no return.
-    pub fn scan(
-        &self,
-        map_from_lidar: &Pose2,
-        coverage_deg: u32,
-        noise_m: f64,
-        random: &mut SplitMix64,
-    ) -> Scan {
-        let mut scan = Scan { coverage_deg: coverage_deg as f32, ..Scan::default() };
-        for k in 0..coverage_deg {
-            let bearing_rad = (f64::from(k) - f64::from(coverage_deg) / 2.0).to_radians();
-            let (sin, cos) = (map_from_lidar.heading_rad + bearing_rad).sin_cos();
-            let origin = [map_from_lidar.x_m, map_from_lidar.y_m];
-            let hits = self.0.iter().filter_map(|wall| range_m(origin, [cos, sin], wall));
-            let nearest_m = hits.fold(f64::INFINITY, f64::min);
-            if nearest_m < 30.0 {
-                let range_m = nearest_m + noise_m * gaussian(random);
-                scan.x_m.push((range_m * bearing_rad.cos()) as f32);
-                scan.y_m.push((range_m * bearing_rad.sin()) as f32);
-            }
-        }
-        scan
-    }
-
     /// Scans at poses, with 1 cm of noise.
     pub fn scans(&self, poses: &[Pose2], coverage_deg: u32, seed: u64) -> Vec<Scan> {
         let mut random = SplitMix64::new(seed);
         poses.iter().map(|pose| self.scan(pose, coverage_deg, 0.01, &mut random)).collect()
     }
-}
-
-/// Distance along a ray to a wall \[m\].
-fn range_m([x, y]: [f64; 2], [dx, dy]: [f64; 2], [a, b]: &[[f64; 2]; 2]) -> Option<f64> {
-    let (ex, ey) = (b[0] - a[0], b[1] - a[1]);
-    let determinant = dx * ey - dy * ex;
-    let (fx, fy) = (a[0] - x, a[1] - y);
-    let along_ray = (fx * ey - fy * ex) / determinant;
-    let along_wall = (fx * dy - fy * dx) / determinant;
-    (along_ray > 0.0 && (0.0..=1.0).contains(&along_wall)).then_some(along_ray)
-}
-
-/// A sample of the standard normal distribution: the sum of 12 uniform samples, minus 6.
-fn gaussian(random: &mut SplitMix64) -> f64 {
-    (0..12).map(|_| random.unit()).sum::<f64>() - 6.0
 }
 
 /// A drive whose odometry and scan matching are without error. Every scan is a keyframe.

@@ -212,7 +212,7 @@ mod tests {
 
     const S: i64 = 1_000_000_000;
 
-    /// Messages at `period_s`, of which `stamp_s` gives the stamp by the true time.
+    /// Messages at `period_s`. `stamp_s` gives the stamp of a message by its true time.
     fn observe(n: u64, period_s: f64, stamp_s: impl Fn(u64, f64) -> f64) -> StampObserver {
         let mut observer = StampObserver::default();
         for k in 0..n {

@@ -333,7 +333,7 @@ mod tests {
         }
         let three = ["front_left_wheel", "rear_left_wheel", "rear_right_wheel"];
         assert_eq!(find(&three), Err(JointFault::Unequal { n_left: 2, n_right: 1 }));
-        // A joint that is only named by its side never stands in for a wheel.
+        // A joint that is only named by its side is never used as a wheel.
         assert_eq!(
             find(&["left_wheel", "right"]),
             Err(JointFault::Unequal { n_left: 1, n_right: 0 })

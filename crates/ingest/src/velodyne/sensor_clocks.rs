@@ -82,7 +82,7 @@ mod tests {
     use super::*;
     use crate::velodyne::packet::tests::packets;
 
-    /// Messages of 10 packets, of which every second one has a clock that is ahead by `ahead_us`.
+    /// Messages of 10 packets. Every second one has a clock that is ahead by `ahead_us`.
     fn clocks(ahead_us: u32) -> SensorClocks {
         let mut clocks = SensorClocks::default();
         for (k, packet) in packets(400, 0, 20).iter().enumerate() {

@@ -248,15 +248,9 @@ fn interpolated_poses(
             |row: usize| optimized[row] * (rows[row].odometry.inverse() * scan.odometry.pose);
         match (after.checked_sub(1), after < rows.len()) {
             (Some(last), true) => {
-                let (a, b) = (along(last), along(after));
                 let gap_ns = (rows[after].stamp_ns - rows[last].stamp_ns) as f64;
                 let share = (stamp_ns - rows[last].stamp_ns) as f64 / gap_ns;
-                let turn_rad = dataset::wrap_angle(b.heading_rad - a.heading_rad);
-                Pose2 {
-                    x_m: a.x_m + share * (b.x_m - a.x_m),
-                    y_m: a.y_m + share * (b.y_m - a.y_m),
-                    heading_rad: dataset::wrap_angle(a.heading_rad + share * turn_rad),
-                }
+                along(last).towards(&along(after), share)
             }
             (Some(last), false) => along(last),
             (None, _) => along(0),

@@ -155,7 +155,7 @@ fn a_room_has_no_weak_direction() {
     let found = aligned.target_from_source;
     assert!(found.distance_m(&truth) < 0.01 && (found.heading_rad - 0.2).abs() < 0.005);
     assert!(aligned.near_share > 0.95 && aligned.n_partners > 300, "{aligned:?}");
-    assert!(aligned.weakness().unwrap().ratio > 0.3, "{:?}", aligned.weakness());
+    assert!(aligned.weakness.unwrap().ratio > 0.3, "{:?}", aligned.weakness);
 }
 
 /// The errors of 200 alignments with known noise, in a room, agree with the covariance: the mean of the
@@ -201,7 +201,7 @@ fn without_partners_the_pose_is_that_of_the_prior() {
     let aligned = align(&source, &target, &Pose2::default(), &prior, &options);
     assert!(aligned.target_from_source.distance_m(&prior.pose) < 1e-3);
     assert_eq!((aligned.n_partners, aligned.near_share), (0, 0.0));
-    assert_eq!(aligned.weakness(), None);
+    assert_eq!(aligned.weakness, None);
     let covariance = aligned.covariance(&options).unwrap();
     assert!((covariance[(0, 0)] - 0.01).abs() < 1e-9);
     let empty = align(&Points::default(), &target, &Pose2::default(), &prior, &options);

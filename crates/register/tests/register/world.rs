@@ -3,6 +3,7 @@
 use dataset::{Pose2, Scan, SplitMix64};
 
 /// Walls as pairs of end points \[m\].
+#[derive(Clone)]
 pub struct World(pub Vec<[[f64; 2]; 2]>);
 
 impl World {
