@@ -10,7 +10,7 @@ use dataset::{RangeLimits, RegisteredScan, Scan, ScanClosure, StampedPose};
 use model::Evidence;
 use nalgebra::Matrix3;
 use optimize::Proposal;
-use register::Drive;
+use register::{Drive, is_decided};
 
 use crate::config::Config;
 use crate::run::Run;
@@ -38,6 +38,7 @@ impl RegisteredDrive {
             self.rows.iter().map(|row| row.odometry).collect(),
             self.rows.iter().map(|row| row.pose).collect(),
             self.rows.iter().map(|row| row.is_keyframe).collect(),
+            self.rows.iter().map(|row| is_decided(row.near_share, row.weakness)).collect(),
             self.limits,
         )
     }

@@ -5,9 +5,7 @@ use std::collections::BTreeMap;
 use dataset::Pose2;
 use model::{Detector, Evidence};
 use nalgebra::Matrix3;
-use register::{
-    Drive, JointOptions, JointScans, align_jointly, pairs_along_path, places as places_along,
-};
+use register::{Drive, JointOptions, pairs_along_path, places as places_along};
 
 use crate::graph::{Edge, covariances};
 use crate::guided::{Compared, Limit, NearPoses, compare, covariance, predictions};
@@ -139,10 +137,8 @@ const LOOP_PARTNERS: usize = 6;
 fn align_all(drive: &Drive<'_>, poses: &[Pose2], detector: &Detector) -> Vec<Pose2> {
     let mut pairs = pairs_along_path(&drive.path_m);
     pairs.extend(pairs_over_closures(drive, poses));
-    let scans =
-        JointScans { points: &drive.points, odometry: &drive.odometry, path_m: &drive.path_m };
     let options = JointOptions { iterations: JOINT_ITERATIONS, ..JointOptions::default() };
-    align_jointly(&scans, poses, &pairs, &detector.odometry, &options)
+    drive.align_jointly(poses, &pairs, &detector.odometry, &options)
 }
 
 /// Pairs of scans that are close by the poses but not along the path.

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::align::Weakness;
 use crate::joint::{JointOptions, JointScans, align_jointly, pairs_along_path};
 use crate::matcher::{Matched, MatcherOptions, ScanMatcher};
+use crate::odometry::{OdometryModel, is_decided};
 use crate::points::Points;
 
 /// How a drive is registered.
@@ -71,6 +72,14 @@ pub struct Registered {
     pub weakness: Option<Weakness>,
 }
 
+impl Registered {
+    /// Whether the scan determined its position: its points are near those of the last metres, and lie
+    /// along several directions.
+    pub fn is_decided(&self) -> bool {
+        is_decided(self.near_share, self.weakness.map(|weakness| weakness.ratio))
+    }
+}
+
 /// Registered scans in the order of time, as the later stages use them. All vectors have one entry
 /// per scan.
 #[derive(Debug, Clone)]
@@ -87,6 +96,8 @@ pub struct Drive<'a> {
     pub path_m: Vec<f64>,
     /// Whether the scan is a keyframe.
     pub is_keyframe: Vec<bool>,
+    /// Whether the scan determined its position, see [`Registered::is_decided`].
+    pub is_decided: Vec<bool>,
 }
 
 /// One point per square of this size is kept of a scan \[m\]. A scanner with thousands of returns per
@@ -104,13 +115,43 @@ impl<'a> Drive<'a> {
         odometry: Vec<Pose2>,
         poses: Vec<Pose2>,
         is_keyframe: Vec<bool>,
+        is_decided: Vec<bool>,
         limits: RangeLimits,
     ) -> Self {
         let n = scans.len();
-        assert!(odometry.len() == n && poses.len() == n && is_keyframe.len() == n);
+        assert!(odometry.len() == n && poses.len() == n);
+        assert!(is_keyframe.len() == n && is_decided.len() == n);
         let points = scans.par_iter().map(|scan| points_of(scan, limits)).collect();
         let path_m = path_m(&odometry);
-        Self { scans, points, odometry, poses, path_m, is_keyframe }
+        Self { scans, points, odometry, poses, path_m, is_keyframe, is_decided }
+    }
+
+    /// How the odometry of the drive differs from the motion that its scans show. `noise` is the error of
+    /// odometry in general.
+    pub fn odometry_model(&self, noise: &OdometryNoise) -> OdometryModel {
+        OdometryModel::of_drive(&self.odometry, &self.poses, &self.is_decided, noise)
+    }
+
+    /// Aligns all scans with poses jointly, see [`align_jointly`]. The steps of the odometry count without
+    /// their systematic error, and with the random error that the scans show, see [`OdometryModel`].
+    /// `noise` is the error of odometry in general.
+    pub fn align_jointly(
+        &self,
+        poses: &[Pose2],
+        pairs: &[(usize, usize)],
+        noise: &OdometryNoise,
+        options: &JointOptions,
+    ) -> Vec<Pose2> {
+        let model = self.odometry_model(noise);
+        let odometry = model.corrected_poses(&self.odometry);
+        let noise = model.noise_of_steps(&odometry, &self.poses, &self.is_decided, noise);
+        let scans = JointScans {
+            points: &self.points,
+            odometry: &odometry,
+            path_m: &self.path_m,
+            noise: &noise,
+        };
+        align_jointly(&scans, poses, pairs, options)
     }
 }
 
@@ -135,8 +176,9 @@ impl RegisterOptions {
     }
 }
 
-/// Registers a drive: chooses scans, matches each with the scans of the last metres, then aligns all
-/// of them together. `limits` are the range limits of the lidar.
+/// Registers a drive: chooses scans, learns the error of the odometry from pieces of the drive, matches
+/// each scan with those of the last metres, then aligns all of them together. `limits` are the range
+/// limits of the lidar. `noise` is the error of odometry in general; that of the drive is not larger.
 pub fn register_drive(
     scans: &[OdometryScan<'_>],
     limits: RangeLimits,
@@ -148,7 +190,9 @@ pub fn register_drive(
     let points: Vec<Points> =
         chosen.par_iter().map(|&k| points_of(scans[k].scan, limits)).collect();
     let odometry: Vec<Pose2> = chosen.iter().map(|&k| scans[k].odometry).collect();
-    let mut matcher = ScanMatcher::new(options.matcher, *noise);
+    let model = OdometryModel::of_pieces(&points, &odometry, noise, &options.matcher);
+    let odometry = model.corrected_poses(&odometry);
+    let mut matcher = ScanMatcher::new(options.matcher, *noise).with_usual_noise(model.noise);
     let matched: Vec<Matched> = points
         .iter()
         .zip(&odometry)
@@ -161,9 +205,11 @@ pub fn register_drive(
         .zip(&matched)
         .map(|(points, matched)| if matched.is_used { points } else { Points::default() })
         .collect();
-    let joint = JointScans { points: &used, odometry: &odometry, path_m: &path_m };
     let poses: Vec<Pose2> = matched.iter().map(|matched| matched.pose).collect();
-    let poses = align_jointly(&joint, &poses, &pairs, noise, &JointOptions::default());
+    let is_decided: Vec<bool> = matched.iter().map(Matched::is_decided).collect();
+    let noise = model.noise_of_steps(&odometry, &poses, &is_decided, noise);
+    let joint = JointScans { points: &used, odometry: &odometry, path_m: &path_m, noise: &noise };
+    let poses = align_jointly(&joint, &poses, &pairs, &JointOptions::default());
     let registered = chosen.iter().zip(&poses).zip(&matched);
     registered
         .map(|((&index, &pose), matched)| Registered {

@@ -52,6 +52,8 @@ pub struct JointScans<'a> {
     pub odometry: &'a [Pose2],
     /// Path length by odometry \[m\].
     pub path_m: &'a [f64],
+    /// Error of the odometry of the step that ends at each scan.
+    pub noise: &'a [OdometryNoise],
 }
 
 /// Scans with fewer points take no part in pairs.
@@ -78,7 +80,6 @@ pub fn align_jointly(
     scans: &JointScans<'_>,
     poses: &[Pose2],
     pairs: &[(usize, usize)],
-    noise: &OdometryNoise,
     options: &JointOptions,
 ) -> Vec<Pose2> {
     let n = poses.len();
@@ -117,7 +118,7 @@ pub fn align_jointly(
             }
         }
         for k in 1..n {
-            odometry_term(scans, k, &poses, noise).add_to(&mut system, k - 1, k, &poses);
+            odometry_term(scans, k, &poses).add_to(&mut system, k - 1, k, &poses);
         }
         for k in 0..n {
             let hold = if k == 0 { ANCHOR } else { DAMPING };
@@ -273,7 +274,8 @@ fn pair_term(source: &Points, target: &Target, target_from_source: &Pose2, gates
 }
 
 /// The difference of a step from that of the odometry.
-fn odometry_term(scans: &JointScans<'_>, k: usize, poses: &[Pose2], noise: &OdometryNoise) -> Term {
+fn odometry_term(scans: &JointScans<'_>, k: usize, poses: &[Pose2]) -> Term {
+    let noise = &scans.noise[k];
     let step_m = (scans.path_m[k] - scans.path_m[k - 1]).max(MIN_STEP_M);
     let std_m = noise.std_m_per_m * step_m + noise.std_m;
     let std_rad = noise.std_rad_per_sqrt_m * step_m.sqrt() + noise.std_rad;

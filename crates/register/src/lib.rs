@@ -54,6 +54,7 @@ mod drive;
 mod joint;
 mod matcher;
 mod node;
+mod odometry;
 mod points;
 mod sparse;
 mod submap;
@@ -66,6 +67,7 @@ pub use drive::{Drive, OdometryScan, RegisterOptions, Registered, points_of, reg
 pub use joint::{JointOptions, JointScans, align_jointly, pairs_along_path, relative_derivatives};
 pub use matcher::{Matched, MatcherOptions, ScanMatcher};
 pub use node::{Fit, Node, NodeMember, fit, fit_options, places};
+pub use odometry::{OdometryModel, OdometryStep, is_decided};
 pub use points::Points;
 pub use sparse::{BlockSystem, Factor};
 pub use submap::{Member, Square, Submap, SubmapOptions};

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::align::{AlignOptions, Alignment, Prior, Weakness, align, near_share};
 use crate::correlate::{BlurredMap, Preference, Window, search};
+use crate::odometry::is_decided;
 use crate::points::{Points, length};
 use crate::target::Target;
 
@@ -69,6 +70,14 @@ pub struct Matched {
     pub is_used: bool,
 }
 
+impl Matched {
+    /// Whether the scan determined its position, see [`is_decided`].
+    pub(crate) fn is_decided(&self) -> bool {
+        let is_first = self.covariance.is_none();
+        is_first || is_decided(self.near_share, self.weakness.map(|weakness| weakness.ratio))
+    }
+}
+
 struct MatchedKeyframe {
     pose: Pose2,
     points: Points,
@@ -78,9 +87,10 @@ struct MatchedKeyframe {
 /// Matches the keyframes of a drive one after the other.
 pub struct ScanMatcher {
     options: MatcherOptions,
-    /// Error of the odometry. Values for a robot with bad wheels do little harm to a robot with good
-    /// ones, because the points usually say more.
+    /// Usual error of the odometry.
     noise: OdometryNoise,
+    /// Error of the odometry where the scans contradict the usual one: wheels slip.
+    largest_noise: OdometryNoise,
     /// The keyframes of the target, oldest first.
     recent: VecDeque<MatchedKeyframe>,
     last_odometry: Pose2,
@@ -117,15 +127,21 @@ const MIN_STEP_M: f64 = 0.02;
 const MIN_TURN_STEP_M: f64 = 0.05;
 
 impl ScanMatcher {
-    /// A matcher without keyframes.
+    /// A matcher without keyframes, for odometry of which little is known: `noise` should be large.
     pub fn new(options: MatcherOptions, noise: OdometryNoise) -> Self {
         Self {
             options,
             noise,
+            largest_noise: noise,
             recent: VecDeque::new(),
             last_odometry: Pose2::default(),
             path_m: 0.0,
         }
+    }
+
+    /// The same matcher for odometry whose usual error is known, see [`OdometryModel`](crate::OdometryModel).
+    pub fn with_usual_noise(self, noise: OdometryNoise) -> Self {
+        Self { noise, ..self }
     }
 
     /// Matches the next keyframe: its points in the lidar frame and the pose of the lidar by odometry.
@@ -147,7 +163,7 @@ impl ScanMatcher {
         let step = self.last_odometry.inverse() * *odometry;
         let step_m = length([step.x_m, step.y_m]);
         let expected = last.pose * step;
-        let prior = self.prior(expected, step_m);
+        let prior = prior(&self.noise, expected, step_m);
         let reach_m = self.options.align.first_gate_m;
         let target = Target::new(self.target_points(&expected), reach_m);
         let direct = align(&points, &target, &expected, &prior, &self.options.align);
@@ -155,7 +171,8 @@ impl ScanMatcher {
             true => direct,
             false => {
                 let start = self.start(&points, target.points(), &expected, step_m);
-                self.best_alignment(&points, &target, &start, &prior)
+                let priors = [prior, self::prior(&self.largest_noise, expected, step_m)];
+                self.best_alignment(&points, &target, &start, &priors)
             }
         };
         self.last_odometry = *odometry;
@@ -202,14 +219,6 @@ impl ScanMatcher {
             && moved.heading_rad.abs() < CERTAIN_DEG.to_radians()
     }
 
-    /// The odometry after a step as a prior.
-    fn prior(&self, expected: Pose2, step_m: f64) -> Prior {
-        let noise = &self.noise;
-        let std_m = noise.std_m_per_m * step_m.max(MIN_STEP_M) + noise.std_m;
-        let std_rad = noise.std_rad_per_sqrt_m * step_m.max(MIN_TURN_STEP_M).sqrt() + noise.std_rad;
-        Prior::independent(expected, std_m, std_m, std_rad)
-    }
-
     /// The points of the recent keyframes around the expected position. Of the points in a square, the
     /// newest one with a normal is kept.
     fn target_points(&self, expected: &Pose2) -> Points {
@@ -253,13 +262,14 @@ impl ScanMatcher {
     }
 
     /// Aligns from the start, and from more starts if that explains too few points. The alignment that
-    /// explains most points is the result.
+    /// explains most points is the result. The odometry counts with its usual error at first, and with
+    /// its largest one from the other starts.
     fn best_alignment(
         &self,
         points: &Points,
         target: &Target,
         start: &Pose2,
-        prior: &Prior,
+        [prior, loose]: &[Prior; 2],
     ) -> Alignment {
         let options = &self.options.align;
         let mut best = align(points, target, start, prior, options);
@@ -268,10 +278,10 @@ impl ScanMatcher {
             return best;
         }
         let share_before = near_share(points, target, &prior.pose, options.first_gate_m);
-        for offset in MORE_STARTS {
-            let [x_m, y_m, heading_rad] = offset;
-            let other = prior.pose * Pose2 { x_m, y_m, heading_rad };
-            let aligned = align(points, target, &other, prior, options);
+        let others =
+            MORE_STARTS.map(|[x_m, y_m, heading_rad]| prior.pose * Pose2 { x_m, y_m, heading_rad });
+        for other in [start].into_iter().chain(&others) {
+            let aligned = align(points, target, other, loose, options);
             let gain = aligned.near_share - best.near_share;
             let needed = MIN_GAIN * (1.0 + libm::log1p(prior.chi2(&aligned.target_from_source)));
             if needed < gain && share_before < aligned.near_share {
@@ -294,10 +304,17 @@ impl ScanMatcher {
     }
 }
 
-/// Another start must explain this much more of the points, and more the less the odometry agrees: 1 m
-/// away from bad wheels after a step of 0.5 m, six times as much. Along a corridor, many positions
-/// explain nearly the same.
-const MIN_GAIN: f64 = 0.02;
+/// The odometry after a step as a prior.
+fn prior(noise: &OdometryNoise, expected: Pose2, step_m: f64) -> Prior {
+    let std_m = noise.std_m_per_m * step_m.max(MIN_STEP_M) + noise.std_m;
+    let std_rad = noise.std_rad_per_sqrt_m * step_m.max(MIN_TURN_STEP_M).sqrt() + noise.std_rad;
+    Prior::independent(expected, std_m, std_m, std_rad)
+}
+
+/// Another start must explain this much more of the points, and more the less the odometry agrees: ten
+/// of its standard deviations away, five times as much. Along a corridor, many positions explain nearly
+/// the same, and the ground in front of a scanner that tilts seems to stand still.
+const MIN_GAIN: f64 = 0.04;
 /// More starts, relative to the odometry: x forward \[m\], y left \[m\], heading \[rad\].
 const MORE_STARTS: [[f64; 3]; 11] = [
     [0.5, 0.0, 0.0],

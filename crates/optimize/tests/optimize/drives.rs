@@ -4,7 +4,7 @@ use dataset::{Pose2, RangeLimits, Scan, SplitMix64};
 use model::{Detector, Evidence};
 use nalgebra::Matrix3;
 use optimize::{Proposal, Reason, Solution, align_every_scan, close_loops};
-use register::{Drive, OdometryScan, RegisterOptions, register_drive};
+use register::{Drive, OdometryScan, RegisterOptions, Registered, register_drive};
 
 use crate::world::{World, lap};
 
@@ -51,6 +51,7 @@ impl Simulated {
             at.iter().map(|&k| self.odometry[k]).collect(),
             registered.iter().map(|scan| scan.pose).collect(),
             at.iter().map(|&k| k % 3 == 0).collect(),
+            registered.iter().map(Registered::is_decided).collect(),
             RegisterOptions::default().limits(LIMITS),
         );
         (drive, at)
@@ -227,7 +228,8 @@ fn a_drive_with_one_scan_or_none_has_no_closures() {
         let drive = Simulated::new(&World::ring_corridor(), lap()[..n.max(1)].to_vec(), 0.0);
         let (mut registered, _) = drive.registered();
         if n == 0 {
-            registered = Drive::new(Vec::new(), Vec::new(), Vec::new(), Vec::new(), LIMITS);
+            registered =
+                Drive::new(Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), LIMITS);
         }
         let solution = close_loops(&registered, &[], &Detector::starting_values(), MIN_PATH_M);
         assert!(solution.closures.is_empty() && solution.poses.len() == n);
