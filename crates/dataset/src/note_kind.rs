@@ -317,6 +317,15 @@ codes! {
             /// Share of the points near a point of the last metres.
             near_share: f64,
         } => "along {length_m:.0} m of path ({}), less than {:.0} % of the points of a scan are near a point of the scans before: the trajectory may be wrong there; check `ingest.lidar.mount` and the clocks of lidar and poses", count(*n_stretches, "stretch"), near_share * 100.0;
+        /// The odometry differs from the motion that the scans show.
+        Warning "odometry_bias" OdometryBias {
+            /// Motion per motion of the odometry.
+            scale: f64,
+            /// Turn per turn of the odometry.
+            turn_scale: f64,
+            /// Turn to the left per metre ahead that the odometry does not contain \[deg/m\].
+            turn_deg_per_m: f64,
+        } => "by its scans, the robot moves {scale:.3} m per metre of odometry, turns {turn_scale:.3} rad per radian of odometry, and turns {turn_deg_per_m:+.2} deg per metre more to the left: `register` corrects this; check the radius of the wheels, the track and the ticks per turn";
         /// The classifier was trained on another kind of scans.
         Warning "classifier_not_used" ClassifierNotUsed {
             /// Name of the model.

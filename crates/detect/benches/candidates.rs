@@ -54,6 +54,7 @@ fn drive(scans: &[Scan]) -> Drive<'_> {
         poses,
         path_m,
         is_keyframe: vec![true; scans.len()],
+        is_decided: vec![true; scans.len()],
     }
 }
 

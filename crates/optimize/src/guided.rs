@@ -23,6 +23,8 @@ const PREFERENCE: f64 = 0.05;
 /// More starts, relative to the prediction: x \[m\], y \[m\], heading \[rad\].
 const MORE_STARTS: [[f64; 3]; 4] =
     [[0.35, 0.0, 0.06], [-0.35, 0.0, -0.06], [0.0, 0.35, -0.06], [0.0, -0.35, 0.06]];
+/// The most starts that may lead elsewhere: one of six.
+const MAX_OTHER_ENDS: usize = 1;
 /// Two starts lead to the same pose if the results are closer than this.
 const SAME_M: f64 = 0.1;
 const SAME_DEG: f64 = 1.0;
@@ -46,8 +48,9 @@ pub(crate) struct Compared {
     /// Distance and angle between the predicted and the found relative pose.
     pub(crate) moved_m: f64,
     pub(crate) turned_rad: f64,
-    /// Share of the starts that led to the found pose.
-    pub(crate) agreement: f64,
+    /// Whether enough of the starts led to the found pose. False where the rest already decides against
+    /// the pair: then they are not tried.
+    pub(crate) is_agreed: bool,
 }
 
 impl Compared {
@@ -56,12 +59,16 @@ impl Compared {
     /// The limits were set with two recorded drives and held on others. See the share test in
     /// `support.rs`.
     pub(crate) fn is_confirmed(&self) -> bool {
+        self.is_agreed && self.is_plausible()
+    }
+
+    /// Whether the found pose is near the predicted one, and the scans fit.
+    fn is_plausible(&self) -> bool {
         0.3 < self.fit.known_overlap
             && 60 <= self.fit.n_known
             && self.fit.known_conflict() < 0.35
             && self.moved_m < 0.35
             && self.turned_rad < 3f64.to_radians()
-            && 0.8 <= self.agreement
             && self.fit.alignment.weakness.is_some_and(|weakness| 0.02 < weakness.ratio)
     }
 }
@@ -131,36 +138,39 @@ fn compare_pair(places: &[Place], prediction: &Prediction) -> Compared {
     };
     let preference = Preference { pose: expected, per_m2: PREFERENCE, per_rad2: PREFERENCE };
     let found = search(&a.walls, b.node.sample(), &window, &preference).pose;
-    let more = MORE_STARTS.map(|[x, y, heading]| Pose2 {
-        x_m: expected.x_m + x,
-        y_m: expected.y_m + y,
-        heading_rad: expected.heading_rad + heading,
-    });
     let options = fit_options(0.5, 20);
-    let ends: Vec<Pose2> = [found, expected]
-        .iter()
-        .chain(&more)
-        .map(|start| {
-            let prior = Prior::none(*start);
-            align(b.node.sample(), a.node.target(), start, &prior, &options).target_from_source
-        })
-        .collect();
+    let end = |start: &Pose2| {
+        let prior = Prior::none(*start);
+        align(b.node.sample(), a.node.target(), start, &prior, &options).target_from_source
+    };
+    let ends = [found, expected].map(|start| end(&start));
     let key = |fit: &Fit| fit.known_overlap - fit.known_conflict();
-    let [first, second] = [0, 1].map(|k| fit(&a.node, &b.node, &ends[k], &last_options()));
+    let [first, second] = ends.map(|end| fit(&a.node, &b.node, &end, &last_options()));
     let best = if key(&first) < key(&second) { second } else { first };
     let off = expected.inverse() * best.a_from_b;
-    let is_same = |end: &&Pose2| {
-        let off = best.a_from_b.inverse() * **end;
-        length(&off) < SAME_M && off.heading_rad.abs() < SAME_DEG.to_radians()
-    };
-    Compared {
+    let mut compared = Compared {
         reference: prediction.reference,
         query: prediction.query,
         fit: best,
         moved_m: length(&off),
         turned_rad: off.heading_rad.abs(),
-        agreement: ends.iter().filter(is_same).count() as f64 / ends.len() as f64,
+        is_agreed: false,
+    };
+    if compared.is_plausible() {
+        let is_other = |end: &Pose2| {
+            let off = best.a_from_b.inverse() * *end;
+            SAME_M <= length(&off) || SAME_DEG.to_radians() <= off.heading_rad.abs()
+        };
+        let more = MORE_STARTS.map(|[x, y, heading]| Pose2 {
+            x_m: expected.x_m + x,
+            y_m: expected.y_m + y,
+            heading_rad: expected.heading_rad + heading,
+        });
+        // Lazily: the starts after one too many that leads elsewhere are not tried.
+        let others = ends.into_iter().chain(more.iter().map(end)).filter(is_other);
+        compared.is_agreed = others.take(MAX_OTHER_ENDS + 1).count() <= MAX_OTHER_ENDS;
     }
+    compared
 }
 
 /// Distance of a relative pose \[m\].

@@ -9,12 +9,13 @@
 //! [`align`] moves points onto the lines of a target (point-to-line ICP). [`search`] finds a start for
 //! it by correlation. [`ScanMatcher`] does both for each scan of a drive, against the scans of the last
 //! metres, with the odometry as prior: in an empty corridor the position along the corridor stays that
-//! of the odometry, and the covariance says so. [`Submap`] joins the scans of a few metres into a map of
+//! of the odometry, and the covariance says so. [`OdometryModel`] is what the scans of a
+//! drive say about the errors of its odometry. [`Submap`] joins the scans of a few metres into a map of
 //! occupied, free and unknown squares.
 //!
-//! The crate depends on neither Arrow, Parquet nor MCAP. It can be used on a robot. All computations are
-//! sequential, in f64, with the functions of `libm`: the same input gives the same bytes on every
-//! machine.
+//! The crate depends on neither Arrow, Parquet nor MCAP. It can be used on a robot. All computations are in
+//! f64, with the functions of `libm`: the same input gives the same bytes on every machine, with any number
+//! of threads.
 //!
 //! # Example
 //!

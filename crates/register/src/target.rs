@@ -133,7 +133,8 @@ impl Target {
             return None;
         }
         let mut best = Best { m2: max_m * max_m, reach, entry: None };
-        let row = a.floor() as i64;
+        // The largest integer that is not above `a`, without a call of `floor`.
+        let row = a as i64 - i64::from(a < (a as i64) as f64);
         let inside = a - row as f64;
         self.search_row(row, 0.0, b, [x, y], &mut best);
         for step in 1..=(reach as i64 + 1) {
@@ -155,7 +156,8 @@ impl Target {
         if row < 0 || self.n_squares[0] as i64 <= row || best.reach <= to_row {
             return;
         }
-        let least = (column - best.reach).floor().max(0.0) as usize;
+        // A negative number becomes 0.
+        let least = (column - best.reach) as usize;
         let most = ((column + best.reach) as i64).min(self.n_squares[1] as i64 - 1);
         if most < least as i64 {
             return;

@@ -86,5 +86,6 @@ pub fn drive<'a>(scans: &'a [Scan], poses: &[Pose2]) -> Drive<'a> {
         poses: poses.to_vec(),
         path_m,
         is_keyframe: vec![true; scans.len()],
+        is_decided: vec![true; scans.len()],
     }
 }

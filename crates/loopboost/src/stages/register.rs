@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use anyhow::Result;
 use dataset::tables::{Provenance, read_keyframes, write_odometry, write_registered};
-use dataset::{Note, NoteKind, RangeLimits, RegisteredScan, ScanId, Subject};
+use dataset::{Note, NoteKind, Pose2, RangeLimits, RegisteredScan, ScanId, Subject};
 use model::OdometryNoise;
 use rayon::prelude::*;
-use register::{OdometryScan, RegisterOptions, register_drive};
+use register::{OdometryModel, OdometryScan, RegisterOptions, is_decided, register_drive};
 
 use crate::drives::{
     DEGENERATE_RATIO, PosedScan, posed_scans, registration_limits, scans_of, upper_triangle,
@@ -48,6 +48,7 @@ fn register(run: &Run, provenance: &Provenance) -> Result<Done> {
             rows.push(row);
         }
         done.notes.extend(notes(run, log, &rows));
+        done.notes.extend(odometry_bias(run, log, &rows));
         done.summaries.push(summary(log, &rows));
         of_logs.push(rows);
     }
@@ -166,6 +167,37 @@ fn notes(run: &Run, log: &LogFile, rows: &[RegisteredScan]) -> Vec<Note> {
     });
     let of_log = |kind| Note::new(kind, Subject::log(&*log.name));
     short.into_iter().chain(poor).map(of_log).collect()
+}
+
+/// Smaller systematic errors of the odometry are not reported: share of the path, share of a turn, and
+/// turn per metre.
+const MAX_SCALE_ERROR: f64 = 0.05;
+const MAX_TURN_SCALE_ERROR: f64 = 0.1;
+const MAX_TURN_DEG_PER_M: f64 = 2.0;
+
+/// The largest systematic error of the odometry in a segment of the log, if it is worth a remark.
+fn odometry_bias(run: &Run, log: &LogFile, rows: &[RegisteredScan]) -> Option<Note> {
+    let of_segment = |rows: &[RegisteredScan]| {
+        let odometry: Vec<Pose2> = rows.iter().map(|row| row.odometry).collect();
+        let poses: Vec<Pose2> = rows.iter().map(|row| row.pose).collect();
+        let is_decided: Vec<bool> =
+            rows.iter().map(|row| is_decided(row.near_share, row.weakness)).collect();
+        OdometryModel::of_drive(&odometry, &poses, &is_decided, &run.detector().odometry)
+    };
+    let size = |model: &OdometryModel| {
+        let turn_deg_per_m = model.turn_rad_per_m.to_degrees();
+        ((model.scale - 1.0).abs() / MAX_SCALE_ERROR)
+            .max((model.turn_scale - 1.0).abs() / MAX_TURN_SCALE_ERROR)
+            .max(turn_deg_per_m.abs() / MAX_TURN_DEG_PER_M)
+    };
+    let models = rows.chunk_by(|a, b| a.segment == b.segment).map(of_segment);
+    let largest = models.max_by(|a, b| size(a).total_cmp(&size(b)))?;
+    let kind = NoteKind::OdometryBias {
+        scale: largest.scale,
+        turn_scale: largest.turn_scale,
+        turn_deg_per_m: largest.turn_rad_per_m.to_degrees(),
+    };
+    (1.0 < size(&largest)).then(|| Note::new(kind, Subject::log(&*log.name)))
 }
 
 fn summary(log: &LogFile, rows: &[RegisteredScan]) -> Summary {
