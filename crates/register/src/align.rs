@@ -5,7 +5,7 @@ use nalgebra::{Matrix2, Matrix3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::points::{Motion, Points, length};
-use crate::target::Target;
+use crate::target::{Searches, Target};
 
 /// How points are aligned.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -220,10 +220,12 @@ pub fn align(
     options: &AlignOptions,
 ) -> Alignment {
     let mut pose = *start;
-    let mut sums = sum_pairs(source, target, &pose, options.first_gate_m, options);
+    let mut searches = Searches::new(target, source.len());
+    let mut sums = sum_pairs(source, target, &mut searches, &pose, options.first_gate_m, options);
     for iteration in 0..options.max_iterations {
         if 0 < iteration {
-            sums = sum_pairs(source, target, &pose, gate_m(iteration, options), options);
+            let gate_m = gate_m(iteration, options);
+            sums = sum_pairs(source, target, &mut searches, &pose, gate_m, options);
         }
         let from_prior = prior.off(&pose);
         let (from_points, gradient) = discount_normals(&sums.information, &sums.gradient);
@@ -247,7 +249,7 @@ pub fn align(
         prior_information: prior.information,
         n_partners: n,
         rms_m: (sums.squares_m2 / n.max(1) as f64).sqrt(),
-        near_share: near_share(source, target, &pose, options.first_gate_m),
+        near_share: share_of_near(source, target, &mut searches, &pose, options.first_gate_m),
     }
 }
 
@@ -264,10 +266,21 @@ fn gate_m(iteration: u32, options: &AlignOptions) -> f64 {
 /// far apart, and at the same places of each scan in a bare corridor: there, the distances from the
 /// points would be smallest if the robot had not moved.
 pub fn near_share(source: &Points, target: &Target, pose: &Pose2, reach_m: f64) -> f64 {
+    share_of_near(source, target, &mut Searches::new(target, source.len()), pose, reach_m)
+}
+
+/// [`near_share`] after other searches.
+fn share_of_near(
+    source: &Points,
+    target: &Target,
+    searches: &mut Searches<'_>,
+    pose: &Pose2,
+    reach_m: f64,
+) -> f64 {
     let motion = Motion::new(pose);
-    let is_near = |&&q: &&[f64; 2]| {
+    let is_near = |&(k, &q): &(usize, &[f64; 2])| {
         let moved = motion.point(q);
-        target.nearest(moved, reach_m).is_some_and(|partner| {
+        searches.nearest(k, moved, reach_m).is_some_and(|partner| {
             let p = target.points().positions_m[partner];
             let off = [moved[0] - p[0], moved[1] - p[1]];
             match target.points().normals[partner] {
@@ -276,13 +289,14 @@ pub fn near_share(source: &Points, target: &Target, pose: &Pose2, reach_m: f64) 
             }
         })
     };
-    let n_near = source.positions_m.iter().filter(is_near).count();
+    let n_near = source.positions_m.iter().enumerate().filter(is_near).count();
     n_near as f64 / source.len().max(1) as f64
 }
 
 fn sum_pairs(
     source: &Points,
     target: &Target,
+    searches: &mut Searches<'_>,
     pose: &Pose2,
     gate_m: f64,
     options: &AlignOptions,
@@ -296,10 +310,10 @@ fn sum_pairs(
         squares_m2: 0.0,
     };
     let [mut xx, mut xy, mut xh, mut yy, mut yh, mut hh] = [0.0; 6];
-    for (&q, normal) in source.positions_m.iter().zip(&source.normals) {
+    for (k, (&q, normal)) in source.positions_m.iter().zip(&source.normals).enumerate() {
         let turned = motion.direction(q);
         let moved = [turned[0] + pose.x_m, turned[1] + pose.y_m];
-        let Some(partner) = target.nearest(moved, gate_m) else { continue };
+        let Some(partner) = searches.nearest(k, moved, gate_m) else { continue };
         let Some(n) = target.points().normals[partner] else { continue };
         if let Some(normal) = *normal {
             let m = motion.direction(normal);

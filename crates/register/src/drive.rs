@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::align::Weakness;
 use crate::joint::{JointOptions, JointScans, align_jointly, pairs_along_path};
-use crate::matcher::{Matched, MatcherOptions, ScanMatcher};
-use crate::odometry::{OdometryModel, is_decided};
+use crate::matcher::{Matched, MatcherOptions, ScanMatcher, is_decided};
+use crate::odometry::OdometryModel;
 use crate::points::Points;
 
 /// How a drive is registered.

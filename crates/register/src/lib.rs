@@ -66,9 +66,9 @@ pub use align::{AlignOptions, Alignment, NEAR_M, Prior, Weakness, align, near_sh
 pub use correlate::{BestPose, BlurredMap, Preference, Window, search};
 pub use drive::{Drive, OdometryScan, RegisterOptions, Registered, points_of, register_drive};
 pub use joint::{JointOptions, JointScans, align_jointly, pairs_along_path, relative_derivatives};
-pub use matcher::{Matched, MatcherOptions, ScanMatcher};
+pub use matcher::{Matched, MatcherOptions, ScanMatcher, is_decided};
 pub use node::{Fit, Node, NodeMember, fit, fit_options, places};
-pub use odometry::{OdometryModel, OdometryStep, is_decided};
+pub use odometry::{OdometryModel, OdometryStep};
 pub use points::Points;
 pub use sparse::{BlockSystem, Factor};
 pub use submap::{Member, Square, Submap, SubmapOptions};

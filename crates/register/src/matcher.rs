@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::align::{AlignOptions, Alignment, Prior, Weakness, align, near_share};
 use crate::correlate::{BlurredMap, Preference, Window, search};
-use crate::odometry::is_decided;
 use crate::points::{Points, length};
 use crate::target::Target;
 
@@ -68,6 +67,18 @@ pub struct Matched {
     /// only: a single line is the ground in front of a scanner that tilts, or something that moves. The
     /// pose is that of the odometry.
     pub is_used: bool,
+}
+
+/// Scans with less information about their position in one direction than this share of that in the
+/// other say nothing about the odometry.
+const MIN_WEAKNESS: f64 = 0.1;
+/// Scans with a smaller share of points near those of the last metres say nothing about the odometry.
+const MIN_NEAR_SHARE: f64 = 0.8;
+
+/// Whether a scan determined its position, from the share of its points that are near those of the last
+/// metres, and the ratio of its [`Weakness`].
+pub fn is_decided(near_share: f64, weakness: Option<f64>) -> bool {
+    MIN_NEAR_SHARE < near_share && weakness.is_some_and(|ratio| MIN_WEAKNESS < ratio)
 }
 
 impl Matched {

@@ -38,18 +38,6 @@ pub struct OdometryStep {
     pub matched: Pose2,
 }
 
-/// Scans with less information about their position in one direction than this share of that in the
-/// other say nothing about the odometry.
-const MIN_WEAKNESS: f64 = 0.1;
-/// Scans with a smaller share of points near those of the last metres say nothing about the odometry.
-const MIN_NEAR_SHARE: f64 = 0.8;
-
-/// Whether a scan determined its position, from the share of its points that are near those of the last
-/// metres, and the ratio of its [`Weakness`](crate::Weakness).
-pub fn is_decided(near_share: f64, weakness: Option<f64>) -> bool {
-    MIN_NEAR_SHARE < near_share && weakness.is_some_and(|ratio| MIN_WEAKNESS < ratio)
-}
-
 /// The least number of steps for a fit.
 const MIN_STEPS: usize = 50;
 /// The smallest error of the odometry that is believed. A millimetre per step would make the odometry a
@@ -107,7 +95,7 @@ impl OdometryModel {
     }
 
     /// Fits the model to registered scans. Only steps between scans that are decided count, see
-    /// [`is_decided`].
+    /// [`is_decided`](crate::is_decided).
     ///
     /// # Panics
     /// If the slices have different lengths.

@@ -1,6 +1,6 @@
 //! Points that scans are aligned with, sorted into squares for the search of the nearest point.
 
-use crate::points::Points;
+use crate::points::{Points, length};
 
 /// Side of a square \[m\]. Returns on a wall are 0.05 m apart or more, so that a square has one or two.
 const SQUARE_M: f64 = 0.1;
@@ -121,7 +121,19 @@ impl Target {
     ///
     /// Rows of squares are searched from the inside out, as far as a point can still be nearer.
     #[inline]
-    pub fn nearest(&self, [x, y]: [f64; 2], max_m: f64) -> Option<usize> {
+    pub fn nearest(&self, position_m: [f64; 2], max_m: f64) -> Option<usize> {
+        self.nearest_entry(position_m, max_m, None).map(|entry| self.point_at(entry))
+    }
+
+    /// The index of the point of an entry of the order.
+    #[inline]
+    fn point_at(&self, entry: u32) -> usize {
+        self.order[entry as usize] as usize
+    }
+
+    /// The entry of the nearest point. A `seed` that is near makes the search short.
+    #[inline]
+    fn nearest_entry(&self, [x, y]: [f64; 2], max_m: f64, seed: Option<u32>) -> Option<u32> {
         debug_assert!(max_m <= self.reach_m, "the search does not reach farther than the target");
         let [a, b] =
             [(x - self.corner_m[0]) / self.square_m, (y - self.corner_m[1]) / self.square_m];
@@ -133,6 +145,9 @@ impl Target {
             return None;
         }
         let mut best = Best { m2: max_m * max_m, reach, entry: None };
+        if let Some(entry) = seed {
+            best.offer(entry, self.sorted_m[entry as usize], [x, y], self.square_m);
+        }
         // The largest integer that is not above `a`, without a call of `floor`.
         let row = a as i64 - i64::from(a < (a as i64) as f64);
         let inside = a - row as f64;
@@ -146,7 +161,7 @@ impl Target {
             self.search_row(row - step, to_below, b, [x, y], &mut best);
             self.search_row(row + step, to_above, b, [x, y], &mut best);
         }
-        best.entry.map(|entry| self.order[entry as usize] as usize)
+        best.entry
     }
 
     /// Searches the squares of a row that may have a nearer point. `to_row` is the distance from the
@@ -173,12 +188,7 @@ impl Target {
                 bits &= bits - 1;
                 let rank = self.rank(square);
                 for entry in self.starts[rank]..self.starts[rank + 1] {
-                    let p = self.sorted_m[entry as usize];
-                    let (dx, dy) = (p[0] - x, p[1] - y);
-                    let m2 = dx * dx + dy * dy;
-                    if m2 < best.m2 {
-                        *best = Best { m2, reach: m2.sqrt() / self.square_m, entry: Some(entry) };
-                    }
+                    best.offer(entry, self.sorted_m[entry as usize], [x, y], self.square_m);
                 }
             }
             from += n;
@@ -204,6 +214,60 @@ struct Best {
     /// The distance in squares.
     reach: f64,
     entry: Option<u32>,
+}
+
+impl Best {
+    /// Takes the point of an entry if it is nearer.
+    #[inline]
+    fn offer(&mut self, entry: u32, p: [f64; 2], [x, y]: [f64; 2], square_m: f64) {
+        let (dx, dy) = (p[0] - x, p[1] - y);
+        let m2 = dx * dx + dy * dy;
+        if m2 < self.m2 {
+            *self = Self { m2, reach: m2.sqrt() / square_m, entry: Some(entry) };
+        }
+    }
+}
+
+/// Repeated searches of the nearest points to the points of a scan that moves a little between them. What
+/// the last search found limits the next one. The results are those of [`Target::nearest`].
+pub(crate) struct Searches<'a> {
+    target: &'a Target,
+    /// The last search of each point.
+    last: Vec<Search>,
+}
+
+#[derive(Clone, Copy)]
+struct Search {
+    position_m: [f64; 2],
+    entry: Option<u32>,
+    /// No point is nearer to the position than this \[m\]. Used without an entry.
+    empty_m: f64,
+}
+
+/// Rounding errors of the distances that [`Searches`] compares are smaller \[m\].
+const ROUNDING_M: f64 = 1e-9;
+
+impl<'a> Searches<'a> {
+    pub(crate) fn new(target: &'a Target, n_points: usize) -> Self {
+        let nothing = Search { position_m: [0.0; 2], entry: None, empty_m: 0.0 };
+        Self { target, last: vec![nothing; n_points] }
+    }
+
+    /// The target point nearest to the point `k` at a position, if one is nearer than `max_m`.
+    #[inline]
+    pub(crate) fn nearest(&mut self, k: usize, position_m: [f64; 2], max_m: f64) -> Option<usize> {
+        let last = &mut self.last[k];
+        if last.entry.is_none() {
+            let [x, y] = [0, 1].map(|axis| position_m[axis] - last.position_m[axis]);
+            // Nothing is within a circle around the last position that contains the new one.
+            if max_m + length([x, y]) + ROUNDING_M < last.empty_m {
+                return None;
+            }
+        }
+        let entry = self.target.nearest_entry(position_m, max_m, last.entry);
+        *last = Search { position_m, entry, empty_m: max_m };
+        entry.map(|entry| self.target.point_at(entry))
+    }
 }
 
 #[cfg(test)]
@@ -236,6 +300,26 @@ mod tests {
             n_found += usize::from(expected.is_some());
         }
         assert!((200..700).contains(&n_found), "{n_found}");
+    }
+
+    /// Points that move by small and by large steps, with a shrinking and a growing reach.
+    #[test]
+    fn repeated_searches_find_the_same_as_single_ones() {
+        let target = Target::new(random_points(400, 4.0), 0.5);
+        let queries = random_points(300, 6.0).positions_m;
+        let mut searches = Searches::new(&target, queries.len());
+        let mut n_found = 0;
+        for round in 0..40 {
+            let max_m = [0.5, 0.4, 0.3, 0.05, 0.5][round % 5];
+            let step_m = if round % 7 == 6 { 0.7 } else { 0.01 };
+            for (k, query) in queries.iter().enumerate() {
+                let at = [query[0] + step_m * round as f64, query[1]];
+                let expected = target.nearest(at, max_m);
+                assert_eq!(searches.nearest(k, at, max_m), expected);
+                n_found += usize::from(expected.is_some());
+            }
+        }
+        assert!((2000..11_000).contains(&n_found), "{n_found}");
     }
 
     #[test]

@@ -322,11 +322,12 @@ impl Graph {
         }
     }
 
-    /// The text of the file. docs/detection.md describes it.
+    /// The text of the file. docs/detection.md describes it. The comments are at the end, because GTSAM
+    /// stops reading edges at a comment.
     fn text(&self) -> String {
         format!(
-            "# Poses of the lidar [m, rad]. Vertices are numbered along each drive.\n{}{}{}",
-            self.comments, self.vertices, self.edges
+            "{}{}# Poses of the lidar [m, rad]. Vertices are numbered along each drive.\n{}",
+            self.vertices, self.edges, self.comments
         )
     }
 }
