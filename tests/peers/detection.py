@@ -246,6 +246,14 @@ def table(benchmark, names, without_classifier):
     return "\n".join(rows) + "\n\nRevisits that are left after each stage, by keyframe:\n\n" + "\n".join(losses)
 
 
+def replace(file, name, made):
+    """Replaces the text between the comments of a name in a file."""
+    begin, end = f"<!-- {name} -->\n", f"<!-- end of {name} -->\n"
+    before, rest = file.read_text().split(begin)
+    _, after = rest.split(end)
+    file.write_text(f"{before}{begin}{made}\n{end}{after}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("program")
@@ -265,10 +273,7 @@ def main():
     made = table(Benchmark(options.program, options.logs, options.out), names, options.without_classifier)
     print(made)
     if options.write:
-        begin, end = "<!-- detection -->\n", "<!-- end of detection -->\n"
-        before, rest = options.write.read_text().split(begin)
-        _, after = rest.split(end)
-        options.write.write_text(f"{before}{begin}{made}\n{end}{after}")
+        replace(options.write, "detection", made)
 
 
 if __name__ == "__main__":
