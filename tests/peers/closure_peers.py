@@ -1,6 +1,7 @@
 """Compares the closures of `loopboost detect` with those of other programs, on the same run folders.
 
-usage: closure_peers.py RUN... [--graphs RUN...] [--only gnc,map-closures,karto] [--write docs/detection.md]
+usage: closure_peers.py RUN... [--graphs RUN...] [--only gnc,map-closures,karto] [--max-range-m 25]
+                        [--write docs/detection.md]
 
 RUN is the folder of `loopboost detect` for a log with ground truth, in one segment. Its model is searched
 in the run folders next to it. The script needs numpy, pyarrow, gtsam 4.3, map-closures 2.2 and
@@ -10,7 +11,8 @@ karto-scanmatcher 1.0.
 - MapClosures: the closures that it finds in submaps, joined with the scan-matched poses.
 - karto-scanmatcher: scan matching of the submaps of candidates, and of pairs of different places.
 
-`--graphs` are more runs for GTSAM only. `--write` replaces the tables between the `peers` comments in a file.
+`--graphs` are more runs for GTSAM only. `--max-range-m` limits the returns in the submaps. `--write` replaces
+the tables between the `peers` comments in a file.
 """
 
 import argparse
@@ -293,18 +295,18 @@ def offered(run):
 
 # Submaps
 
-# Returns that `register` uses.
+# `register`, `detect` and `optimize` use the returns up to this range.
 MAX_RANGE_M = 25.0
 
 
-def scans_of(run):
+def scans_of(run, max_range_m):
     """The points of each registered scan, in the frame of the lidar."""
     table = pq.read_table(run.folder / f"scans/{run.log}.parquet", columns=["scan", "x_m", "y_m"])
     row_of = {scan: row for row, scan in enumerate(table["scan"].to_pylist())}
     scans = []
     for scan in run.scan:
         points = np.stack([table[name][row_of[scan]].values.to_numpy() for name in ("x_m", "y_m")], 1)
-        scans.append(points[np.hypot(*points.T) < MAX_RANGE_M].astype(float))
+        scans.append(points[np.hypot(*points.T) < max_range_m].astype(float))
     return scans
 
 
@@ -502,12 +504,12 @@ def lines(header, rows):
     return "\n".join(text)
 
 
-def tables(runs, graphs, peers):
+def tables(runs, graphs, peers, max_range_m):
     made = []
     if "gnc" in peers:
         made.append("GTSAM on `graph.g2o`:\n\n" + lines(EXPORTED, map(exported, runs + graphs)))
         made.append("GTSAM on the candidates:\n\n" + lines(CHOSEN, map(chosen_row, runs + graphs)))
-    scans = {run.log: scans_of(run) for run in runs} if set(peers) - {"gnc"} else {}
+    scans = {run.log: scans_of(run, max_range_m) for run in runs} if set(peers) - {"gnc"} else {}
     if "map-closures" in peers:
         rows = (row for run in runs for row in map_closures_rows(run, scans[run.log]))
         made.append("MapClosures:\n\n" + lines(MAPS, rows))
@@ -520,11 +522,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="+", metavar="RUN")
     parser.add_argument("--graphs", nargs="+", metavar="RUN", default=[])
+    parser.add_argument("--max-range-m", type=float, default=MAX_RANGE_M)
     parser.add_argument("--only", default="gnc,map-closures,karto")
     parser.add_argument("--write", type=Path)
     options = parser.parse_args()
     runs, graphs = ([Run(folder) for folder in folders] for folders in (options.runs, options.graphs))
-    made = tables(runs, graphs, options.only.split(","))
+    made = tables(runs, graphs, options.only.split(","), options.max_range_m)
     print(made)
     if options.write:
         replace(options.write, "peers", made)
