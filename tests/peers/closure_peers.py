@@ -395,7 +395,7 @@ def map_closures_rows(run, scans):
         most = max((closure[1] for closure in found if closure[2] == "false"), default=0)
         time_used = f"{secs:.0f} s"
         rows.append([run.log, f"MapClosures, {name}", *quality(run, found, DEFAULT_INLIERS + 1), time_used])
-        best = [run.log, f"the same, {most + 1} inliers and more", *quality(run, found, most + 1), time_used]
+        best = [run.log, f"the same, at least {most + 1} inliers", *quality(run, found, most + 1), time_used]
         rows.append(best)
     return rows
 
