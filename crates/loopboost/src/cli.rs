@@ -13,6 +13,7 @@ use crate::run::{Mode, Run};
 use crate::score::ScoreArgs;
 use crate::stage::Stage;
 use crate::used_model::UsedModel;
+use crate::view::ViewArgs;
 use crate::{inspect, lineage, models, pipeline, stages};
 
 /// Turns the drive logs that robots record into loop-closure classifiers.
@@ -53,6 +54,8 @@ enum Command {
     Import(ImportArgs),
     /// Score pairs of scans with a model: confidence and label
     Score(ScoreArgs),
+    /// Write the loop closures and the map of a run for Foxglove and for map_server
+    View(ViewArgs),
     /// Show the inputs of an artifact, back to the logs
     Lineage {
         /// A table, a model.json or a report.html
@@ -262,6 +265,7 @@ impl Command {
             Self::Inspect(args) => inspect::inspect(&args),
             Self::Import(args) => args.execute(),
             Self::Score(args) => args.execute(),
+            Self::View(args) => args.execute(),
             Self::Lineage { artifact } => done(lineage::lineage(&artifact)),
             Self::Log { .. } => Err(usage("`loopboost log` was renamed: use `loopboost lineage`")),
             Self::Verify { folder, pipeline } => {

@@ -42,6 +42,7 @@ mod suggest;
 mod summary;
 mod trial;
 mod used_model;
+mod view;
 
 use std::process::ExitCode;
 
