@@ -34,8 +34,16 @@ fuse.gyro_bias_walk = 1e-7
 
 const TRUTH: &str = "[evaluate]\ntruth = { topic = \"/ground_truth\" }\n";
 
-fn new_drive() -> String {
+pub fn new_drive() -> String {
     format!("name = \"new\"\nseed = 7\n{}", LAP.replace("LOG", "friday"))
+}
+
+/// Runs the stages of loop detection as commands of their own, with the starting values.
+pub fn run_stages(workplace: &Workplace, out: &str, threads: usize) {
+    for stage in ["simulate", "ingest", "subsample", "register", "detect", "optimize"] {
+        let code = if stage == "optimize" { 3 } else { 0 };
+        workplace.command_with_threads(stage, out, &[], threads).expect(code);
+    }
 }
 
 /// A short drive with all stages.
@@ -179,16 +187,11 @@ fn a_trained_model_finds_the_closures_of_a_new_drive_and_no_false_ones() {
     assert!(!workplace.path("without/features.parquet").exists());
 }
 
-/// The stages as commands of their own, with the starting values.
 #[test]
 fn loop_detection_gives_the_same_bytes_with_any_number_of_threads() {
     let workplace = Workplace::new(&new_drive());
-    let stages = ["simulate", "ingest", "subsample", "register", "detect", "optimize"];
     for (out, threads) in [("one", 1), ("two", 2), ("eight", 8)] {
-        for stage in stages {
-            let code = if stage == "optimize" { 3 } else { 0 };
-            workplace.command_with_threads(stage, out, &[], threads).expect(code);
-        }
+        run_stages(&workplace, out, threads);
     }
     let expected = estimates(&workplace, "one");
     for out in ["two", "eight"] {

@@ -34,4 +34,5 @@ mod simulation;
 mod sources;
 mod structure;
 mod support;
+mod view;
 mod wire;

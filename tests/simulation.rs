@@ -1,5 +1,6 @@
 //! Simulated logs, read by other programs.
 
+use std::path::Path;
 use std::process::Command;
 
 use crate::require::{mcap_command, python_with, shared_data};
@@ -60,16 +61,19 @@ fn mcap_doctor_finds_no_faults() {
             _ => vec!["logs/one/one_0.mcap", "logs/one/one_1.mcap"],
         };
         for log in logs {
-            let log = workplace.path(&out).join(log);
-            let output =
-                Command::new(&mcap).args(["doctor", "--strict-message-order"]).arg(&log).output();
-            let output = output.unwrap();
-            let printed = [output.stdout, output.stderr].concat();
-            let printed = String::from_utf8_lossy(&printed);
-            let has_no_faults = !printed.contains("Warning") && !printed.contains("Error");
-            assert!(output.status.success() && has_no_faults, "{}: {printed}", log.display());
+            check_with_doctor(&mcap, &workplace.path(&out).join(log));
         }
     }
+}
+
+/// Checks a log with the `mcap` command.
+pub fn check_with_doctor(mcap: &str, log: &Path) {
+    let output = Command::new(mcap).args(["doctor", "--strict-message-order"]).arg(log).output();
+    let output = output.unwrap();
+    let printed = [output.stdout, output.stderr].concat();
+    let printed = String::from_utf8_lossy(&printed);
+    let has_no_faults = !printed.contains("Warning") && !printed.contains("Error");
+    assert!(output.status.success() && has_no_faults, "{}: {printed}", log.display());
 }
 
 /// The files of a split log are one drive, with the same scans as an unsplit log.
