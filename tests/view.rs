@@ -14,7 +14,7 @@ use simulate::{Campus, Point, SENSOR_HEIGHT_M, Segment};
 use crate::detection::{new_drive, run_stages};
 use crate::require::mcap_command;
 use crate::simulation::check_with_doctor;
-use crate::support::{Workplace, loopboost, loopboost_with_threads};
+use crate::support::{Workplace, loopboost, loopboost_with_threads, root};
 
 /// A message of an overlay.
 struct Message {
@@ -76,23 +76,27 @@ fn check_fields(schema: &Value, value: &Value) {
     }
 }
 
-/// The entities of a topic by id: the ends of their lines, and their metadata.
-fn entities(
-    messages: &[Message],
-    topic: &str,
-) -> BTreeMap<String, (Vec<[f64; 2]>, BTreeMap<String, String>)> {
+/// A line of a scene.
+struct Entity {
+    points_m: Vec<[f64; 2]>,
+    metadata: BTreeMap<String, String>,
+}
+
+/// The entities of a topic by id.
+fn entities(messages: &[Message], topic: &str) -> BTreeMap<String, Entity> {
     let mut found = BTreeMap::new();
     for message in messages.iter().filter(|message| message.topic == topic) {
         assert_eq!(message.schema, "foxglove.SceneUpdate");
         for entity in message.json()["entities"].as_array().unwrap() {
             let number = |value: &Value| value.as_f64().unwrap();
             let points = entity["lines"][0]["points"].as_array().unwrap();
-            let points = points.iter().map(|p| [number(&p["x"]), number(&p["y"])]).collect();
+            let points_m = points.iter().map(|p| [number(&p["x"]), number(&p["y"])]).collect();
             let text = |value: &Value| value.as_str().unwrap().to_owned();
             let metadata = entity["metadata"].as_array().unwrap();
             let metadata = metadata.iter().map(|m| (text(&m["key"]), text(&m["value"]))).collect();
             let id = text(&entity["id"]);
-            assert!(found.insert(id.clone(), (points, metadata)).is_none(), "two entities {id}");
+            let entity = Entity { points_m, metadata };
+            assert!(found.insert(id.clone(), entity).is_none(), "two entities {id}");
         }
     }
     found
@@ -111,9 +115,10 @@ fn check_closures(run: &Path, messages: &[Message]) {
     assert!(0 < n_accepted && n_accepted < closures.len());
     for (row, JudgedClosure { closure, rejected }) in closures.iter().enumerate() {
         let topic = usize::from(rejected.is_some());
-        let (points, metadata) = topics[topic].remove(&format!("closure {row}")).unwrap();
+        let Entity { points_m, metadata } =
+            topics[topic].remove(&format!("closure {row}")).unwrap();
         let ends = [&closure.query, &closure.reference].map(|id| [poses[id].x_m, poses[id].y_m]);
-        assert_eq!(points, ends);
+        assert_eq!(points_m, ends);
         assert_eq!(metadata.get("reason"), rejected.as_ref());
         assert_eq!(metadata["confidence"], closure.confidence.to_string());
     }
@@ -122,8 +127,7 @@ fn check_closures(run: &Path, messages: &[Message]) {
     for keyframe in &keyframes {
         let id = format!("{}, scan {}", keyframe.id.log, keyframe.id.scan);
         let [xx, xy, _, yy, ..] = keyframe.covariance.unwrap();
-        let (points, _) = &ellipses[&id];
-        for [x, y] in points.iter().filter(|_| 0.0 < xx) {
+        for [x, y] in ellipses[&id].points_m.iter().filter(|_| 0.0 < xx) {
             // The squared Mahalanobis distance of each point: d^T C^-1 d.
             let (dx, dy) = (x - keyframe.pose.x_m, y - keyframe.pose.y_m);
             let squared = (yy * dx * dx - 2.0 * xy * dx * dy + xx * dy * dy) / (xx * yy - xy * xy);
@@ -306,6 +310,10 @@ fn the_overlay_and_the_map_show_what_the_tables_contain() {
     let topics: BTreeSet<&str> = found.iter().map(|message| &*message.topic).collect();
     for topic in panel["topics"].as_object().unwrap().keys() {
         assert!(topics.contains(&**topic), "the layout shows {topic}, which is not in the overlay");
+    }
+    let page = fs::read_to_string(root().join("docs/viewing.md")).unwrap();
+    for topic in topics {
+        assert!(page.contains(&format!("| `{topic}` |")), "docs/viewing.md does not list {topic}");
     }
     check_map(&new_drive(), &run, &workplace.path("view/map_0.yaml"));
 

@@ -120,7 +120,7 @@ impl ViewArgs {
     }
 }
 
-/// The parts of a log, one per segment.
+/// The parts of a log, one per segment with a keyframe.
 fn parts<'a>(tables: &'a Tables, log: &str, of_log: &'a LogTables) -> Result<Vec<MapPart<'a>>> {
     let keyframe: HashMap<&ScanId, &MapPose> =
         tables.keyframes.iter().map(|keyframe| (&keyframe.id, keyframe)).collect();
@@ -134,14 +134,12 @@ fn parts<'a>(tables: &'a Tables, log: &str, of_log: &'a LogTables) -> Result<Vec
             .iter()
             .filter(|k| *k.id.log == *log && k.segment == first.segment)
             .collect();
-        let Some(map) = keyframes.first().map(|keyframe| keyframe.map) else {
-            return Err(anyhow!(
-                "log `{log}`: segment {} has registered scans but no keyframe in trajectory.parquet",
-                first.segment
-            ));
-        };
         let placed =
             placed(rows, &mut scans, &of_log.trajectory).with_context(|| format!("log `{log}`"))?;
+        let Some(map) = keyframes.first().map(|keyframe| keyframe.map) else {
+            out!("log `{log}`: segment {} has no keyframe and is not shown", first.segment);
+            continue;
+        };
         let in_map = |of: fn(&RegisteredScan) -> Pose2| {
             let map_from_other = placed[0].pose * of(first).inverse();
             rows.iter().map(|row| map_from_other * of(row)).collect()

@@ -344,3 +344,25 @@ fn add_submaps(part: &MapPart<'_>, messages: &mut Vec<Message>) {
         .collect();
     messages.extend(clouds);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pose_before_1970_is_an_error_that_names_its_time() {
+        let part = MapPart {
+            map: 0,
+            closures: Vec::new(),
+            keyframes: Vec::new(),
+            odometry: Vec::new(),
+            scan_matching: Vec::new(),
+            scans: Vec::new(),
+            poses: vec![StampedPose::new(-5, Pose2::default())],
+        };
+        let inputs = BTreeMap::new();
+        let overlay = Overlay { lidar_frame: "lidar", parts: &[part], inputs: &inputs };
+        let error = write_overlay(std::io::Cursor::new(Vec::new()), &overlay).unwrap_err();
+        assert!(error.to_string().starts_with("a pose at -5 ns"), "{error}");
+    }
+}

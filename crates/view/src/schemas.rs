@@ -43,17 +43,17 @@ impl Schema {
                     ("frame_id", of("string")),
                     ("pose", pose()),
                     ("point_stride", of("integer")),
-                    ("fields", array(element_field())),
+                    ("fields", array(&element_field())),
                     ("data", json!({ "type": "string", "contentEncoding": "base64" })),
                 ],
             ),
             Self::PosesInFrame => object(
                 self.name(),
-                &[("timestamp", time()), ("frame_id", of("string")), ("poses", array(pose()))],
+                &[("timestamp", time()), ("frame_id", of("string")), ("poses", array(&pose()))],
             ),
             Self::SceneUpdate => object(
                 self.name(),
-                &[("deletions", array(of("object"))), ("entities", array(entity()))],
+                &[("deletions", array(&of("object"))), ("entities", array(&entity()))],
             ),
         }
     }
@@ -71,7 +71,7 @@ fn of(name: &str) -> Value {
     json!({ "type": name })
 }
 
-fn array(items: Value) -> Value {
+fn array(items: &Value) -> Value {
     json!({ "type": "array", "items": items })
 }
 
@@ -120,10 +120,10 @@ fn entity() -> Value {
             ("pose", pose()),
             ("thickness", of("number")),
             ("scale_invariant", of("boolean")),
-            ("points", array(numbers("foxglove.Point3", ["x", "y", "z"]))),
+            ("points", array(&numbers("foxglove.Point3", ["x", "y", "z"]))),
             ("color", color()),
-            ("colors", array(color())),
-            ("indices", array(of("integer"))),
+            ("colors", array(&color())),
+            ("indices", array(&of("integer"))),
         ],
     );
     object(
@@ -134,15 +134,15 @@ fn entity() -> Value {
             ("id", of("string")),
             ("lifetime", duration),
             ("frame_locked", of("boolean")),
-            ("metadata", array(key_value_pair())),
-            ("arrows", array(of("object"))),
-            ("cubes", array(of("object"))),
-            ("spheres", array(of("object"))),
-            ("cylinders", array(of("object"))),
-            ("lines", array(line)),
-            ("triangles", array(of("object"))),
-            ("texts", array(of("object"))),
-            ("models", array(of("object"))),
+            ("metadata", array(&key_value_pair())),
+            ("arrows", array(&of("object"))),
+            ("cubes", array(&of("object"))),
+            ("spheres", array(&of("object"))),
+            ("cylinders", array(&of("object"))),
+            ("lines", array(&line)),
+            ("triangles", array(&of("object"))),
+            ("texts", array(&of("object"))),
+            ("models", array(&of("object"))),
         ],
     )
 }
