@@ -18,7 +18,6 @@ the tables between the `peers` comments in a file.
 import argparse
 import json
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -227,12 +226,9 @@ def exported(run):
     """A row about `graph.g2o`."""
     import gtsam
 
-    # GTSAM 4.3 reads no edge of a file with a comment before them.
-    lines = (run.folder / "graph.g2o").read_text().splitlines(keepends=True)
-    with tempfile.NamedTemporaryFile("w", suffix=".g2o") as file:
-        file.writelines(line for line in lines if not line.startswith("#"))
-        file.flush()
-        graph, start = gtsam.readG2o(file.name, False)
+    path = run.folder / "graph.g2o"
+    lines = path.read_text().splitlines()
+    graph, start = gtsam.readG2o(str(path), False)
     n_edges, n = graph.size(), start.size()
     assert n_edges == sum(line.startswith("EDGE") for line in lines), f"GTSAM reads {n_edges} edges"
     chain = [k for k in range(n_edges) if graph.at(k).keys()[1] == graph.at(k).keys()[0] + 1]

@@ -85,15 +85,15 @@ impl Graph<'_> {
     }
 
     /// Drops groups of links that the scans do not support, until the rest is supported or nothing is
-    /// left.
-    pub(crate) fn supported(&self, links: &[Link]) -> Outcome {
+    /// left. Links that are not `offered` take no part.
+    pub(crate) fn supported(&self, links: &[Link], offered: &[bool]) -> Outcome {
         let mut outcome = Outcome {
             confirmed: None,
             kept: vec![false; links.len()],
             unsupported: vec![false; links.len()],
             rounds: Vec::new(),
         };
-        let mut active: Vec<usize> = (0..links.len()).collect();
+        let mut active: Vec<usize> = (0..links.len()).filter(|&k| offered[k]).collect();
         for _ in 0..MAX_ROUNDS {
             let offered: Vec<Link> = active.iter().map(|&k| links[k]).collect();
             let (is_kept, poses) = self.choose(&offered);
@@ -135,29 +135,9 @@ impl Graph<'_> {
     /// The group of each link: links whose places are close along the path, directly or through others.
     fn groups(&self, links: &[Link]) -> Vec<usize> {
         let path_m = |place: usize| self.places[place].path_m;
-        let is_close = |a: &Link, b: &Link| {
-            (path_m(a.reference) - path_m(b.reference)).abs() <= GROUP_M
-                && (path_m(a.query) - path_m(b.query)).abs() <= GROUP_M
-        };
-        let mut groups = vec![usize::MAX; links.len()];
-        let mut n_groups = 0;
-        for first in 0..links.len() {
-            if groups[first] != usize::MAX {
-                continue;
-            }
-            groups[first] = n_groups;
-            let mut open = vec![first];
-            while let Some(k) = open.pop() {
-                for other in 0..links.len() {
-                    if groups[other] == usize::MAX && is_close(&links[k], &links[other]) {
-                        groups[other] = n_groups;
-                        open.push(other);
-                    }
-                }
-            }
-            n_groups += 1;
-        }
-        groups
+        let pairs: Vec<[f64; 2]> =
+            links.iter().map(|link| [path_m(link.reference), path_m(link.query)]).collect();
+        groups(&pairs)
     }
 
     /// The groups to drop: of those with too small a share of confirmed predictions the worse half, or
@@ -239,6 +219,35 @@ impl Graph<'_> {
             && MIN_SHARE * n_predicted as f64 <= compared.len() as f64;
         is_enough.then_some(poses)
     }
+}
+
+/// Whether two pairs of places are close along the path.
+pub(crate) fn is_close(a: &[f64; 2], b: &[f64; 2]) -> bool {
+    (a[0] - b[0]).abs() <= GROUP_M && (a[1] - b[1]).abs() <= GROUP_M
+}
+
+/// The group of each pair of places, from the path length of both: pairs that are close along the path,
+/// directly or through others.
+pub(crate) fn groups(pairs_m: &[[f64; 2]]) -> Vec<usize> {
+    let mut groups = vec![usize::MAX; pairs_m.len()];
+    let mut n_groups = 0;
+    for first in 0..pairs_m.len() {
+        if groups[first] != usize::MAX {
+            continue;
+        }
+        groups[first] = n_groups;
+        let mut open = vec![first];
+        while let Some(k) = open.pop() {
+            for other in 0..pairs_m.len() {
+                if groups[other] == usize::MAX && is_close(&pairs_m[k], &pairs_m[other]) {
+                    groups[other] = n_groups;
+                    open.push(other);
+                }
+            }
+        }
+        n_groups += 1;
+    }
+    groups
 }
 
 impl Link {
