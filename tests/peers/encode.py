@@ -34,6 +34,12 @@ def header(ns):
     return {"stamp": time(ns), "frame_id": "a frame"}
 
 
+def pose_values(x, y, heading):
+    """A pose in the plane, as a geometry_msgs/Pose."""
+    orientation = {"x": 0.0, "y": 0.0, "z": np.sin(heading / 2), "w": np.cos(heading / 2)}
+    return {"position": {"x": x, "y": y, "z": 0.0}, "orientation": orientation}
+
+
 def foxglove(ns, pose=None):
     """The fields that all Foxglove messages have."""
     level = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}

@@ -18,17 +18,21 @@ import velodyne_decoder as vd
 RANGE_MIN_M, RANGE_MAX_M = 0.9, 70.0  # the defaults of [ingest.lidar]
 
 
+def packet_starts(data):
+    """Where each packet starts in a VelodyneScan in CDR: its stamp, and 8 bytes later its data."""
+    (frame_id,) = struct.unpack_from("<I", data, 12)
+    at = 4 + (12 + frame_id + 3) // 4 * 4
+    (count,) = struct.unpack_from("<I", data, at)
+    return range(at + 4, at + 4 + count * 1216, 1216)
+
+
 def packets(path):
     """Stamp [ns] and bytes of each packet of a log with VelodyneScan messages in CDR."""
     with open(path, "rb") as log:
         reader = mcap.reader.make_reader(log)
         for _, _, message in reader.iter_messages(topics=["/velodyne_packets"]):
             data = message.data
-            (frame_id,) = struct.unpack_from("<I", data, 12)
-            at = 4 + (12 + frame_id + 3) // 4 * 4
-            (count,) = struct.unpack_from("<I", data, at)
-            for k in range(count):
-                start = at + 4 + k * 1216
+            for start in packet_starts(data):
                 sec, nanosec = struct.unpack_from("<iI", data, start)
                 yield sec * 1_000_000_000 + nanosec, data[start + 8 : start + 8 + 1206]
 
