@@ -10,6 +10,9 @@ from street import packet_starts
 
 # Packets of the HDL-32E contain the time in microseconds since the last full hour.
 HOUR_US = 3_600_000_000
+# A part without revisits ends so long before the first one: between true poses, evaluate uses those near in
+# time.
+MARGIN_NS = 5_000_000_000
 # Time between the last message of a log and the first one of the log that is joined to it.
 GAP_NS = 100_000_000
 
@@ -22,15 +25,15 @@ def true_poses(log, topic):
     return np.array(stamps), np.array(x), np.array(y)
 
 
-def first_revisit_ns(log, topic, near_m=3.0, min_path_m=30.0):
-    """The stamp of the first true pose that is near an earlier one. Without a revisit, that of the last pose."""
+def before_revisit_ns(log, topic, near_m=3.0, min_path_m=30.0):
+    """A stamp before the first true pose that is near an earlier one."""
     stamps, x, y = true_poses(log, topic)
     path_m = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
     for k, stamp in enumerate(stamps):
         earlier = path_m <= path_m[k] - min_path_m
         if (np.hypot(x[earlier] - x[k], y[earlier] - y[k]) <= near_m).any():
-            return int(stamp)
-    return int(stamps[-1])
+            return int(stamp) - MARGIN_NS
+    raise ValueError(f"{log} has no revisit")
 
 
 def stamped_later(data, schema, shift_ns):
