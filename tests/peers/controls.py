@@ -28,7 +28,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from buildings import symmetric_ring, wings_in_line, wings_side_by_side, write_drive
 from cuts import Log, before_revisit_ns
-from detection import FULL_CIRCLE, HALF_CIRCLE, Benchmark, measures, pipeline, rule, run, write_between
+from detection import FULL_CIRCLE, HALF_CIRCLE, Benchmark, measures, pipeline, replace, rule, run
 
 FACTORS = {"as learned": 1.0, "x 4": 4.0, "/ 4": 0.25}
 COLUMNS = "| log | noise | candidates (wrong) | accepted | false | trajectory equals scan matching |"
@@ -242,7 +242,7 @@ def main():
         rows += of_control
         failures += failed
     if options.write:
-        write_between(options.write, "controls", "\n".join(rows))
+        replace(options.write, "controls", "\n".join(rows))
     if failures:
         sys.exit("\n".join(["closures that should not be accepted:", *failures]))
 
