@@ -328,3 +328,20 @@ fn graph_of(
     let unknown = || vec![Matrix3::zeros(); poses.len()];
     (covariances(&edges, poses).unwrap_or_else(unknown), edges)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Bounds from the formula with z = 1.96, computed apart from this program.
+    #[test]
+    fn few_pairs_leave_the_share_open() {
+        for (n_confirmed, n_pairs, expected) in
+            [(1, 2, 0.9055), (8, 17, 0.6904), (54, 198, 0.3386), (0, 10, 0.2775)]
+        {
+            let found = largest_share(n_confirmed, n_pairs);
+            assert!((found - expected).abs() < 5e-4, "{n_confirmed} of {n_pairs}: {found}");
+        }
+        assert!((largest_share(10, 10) - 1.0).abs() < 1e-12);
+    }
+}
