@@ -58,6 +58,29 @@ pub struct OdometryNoise {
     pub std_rad: f64,
 }
 
+impl OdometryNoise {
+    /// The smallest error of odometry that is believed. The values are guesses: a millimetre per step and
+    /// a tenth of a degree would make the prior of scan matching a constraint.
+    pub const LEAST: Self = Self {
+        std_m_per_m: 0.02,
+        std_m: 0.005,
+        // 0.3 deg.
+        std_rad_per_sqrt_m: 0.005_235_987_755_982_988,
+        // 0.1 deg.
+        std_rad: 0.001_745_329_251_994_329_5,
+    };
+
+    /// Standard deviation of the position along and across after a path \[m\].
+    pub fn std_m_over(&self, path_m: f64) -> f64 {
+        self.std_m_per_m * path_m + self.std_m
+    }
+
+    /// Standard deviation of the heading after a path in metres \[rad\].
+    pub fn std_rad_over(&self, path_m: f64) -> f64 {
+        self.std_rad_per_sqrt_m * path_m.sqrt() + self.std_rad
+    }
+}
+
 /// Error of the poses from scan matching over `d` metres of path: both grow with `sqrt(d)`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

@@ -187,21 +187,31 @@ pub(crate) struct NearPoses {
 impl NearPoses {
     /// Sorts poses into squares of a size, which is the reach of the search.
     pub(crate) fn new(poses: &[Pose2], size_m: f64) -> Self {
+        Self::of_points(poses.iter().map(|pose| [pose.x_m, pose.y_m]), size_m)
+    }
+
+    /// The same for points.
+    pub(crate) fn of_points(points: impl Iterator<Item = [f64; 2]>, size_m: f64) -> Self {
         let mut squares = Self { size_m, by_square: std::collections::BTreeMap::new() };
-        for (k, pose) in poses.iter().enumerate() {
-            squares.by_square.entry(squares.square(pose)).or_default().push(k);
+        for (k, point) in points.enumerate() {
+            squares.by_square.entry(squares.square(point)).or_default().push(k);
         }
         squares
     }
 
-    fn square(&self, pose: &Pose2) -> (i64, i64) {
-        let of = |v: f64| (v / self.size_m).floor() as i64;
-        (of(pose.x_m), of(pose.y_m))
+    fn square(&self, point: [f64; 2]) -> (i64, i64) {
+        let [x, y] = point.map(|v| (v / self.size_m).floor() as i64);
+        (x, y)
     }
 
     /// All poses within the size of a square, and some others.
     pub(crate) fn around(&self, pose: &Pose2) -> impl Iterator<Item = usize> + '_ {
-        let (x, y) = self.square(pose);
+        self.around_point([pose.x_m, pose.y_m])
+    }
+
+    /// All points within the size of a square, and some others.
+    pub(crate) fn around_point(&self, point: [f64; 2]) -> impl Iterator<Item = usize> + '_ {
+        let (x, y) = self.square(point);
         let around = (x - 1..=x + 1).flat_map(move |x| (y - 1..=y + 1).map(move |y| (x, y)));
         around.filter_map(|square| self.by_square.get(&square)).flatten().copied()
     }

@@ -124,8 +124,8 @@ fn largest_share(n_confirmed: usize, n_pairs: usize) -> f64 {
     (share + Z * Z / (2.0 * n) + half_width) / (1.0 + Z * Z / n)
 }
 
-/// Marks the pairs of keyframes in groups of which the scans confirm too few. Returns the path length at
-/// both keyframes of all pairs of these groups that have a confirmed one.
+/// Marks the pairs of keyframes in groups with too few confirmed pairs. Returns the path length at both
+/// keyframes of each pair in these groups, except groups without any confirmed pair.
 fn mark_unsupported(path_m: &[f64], compared: &mut [ComparedKeyframes]) -> Vec<[f64; 2]> {
     let pairs_m: Vec<[f64; 2]> =
         compared.iter().map(|pair| [path_m[pair.reference], path_m[pair.query]]).collect();

@@ -6,7 +6,7 @@ use register::Drive;
 
 use crate::gnc::reject_false_closures;
 use crate::graph::Edge;
-use crate::guided::{Compared, compare, predictions};
+use crate::guided::{Compared, NearPoses, compare, predictions};
 use crate::places::{Place, chain};
 use crate::{Proposal, Round};
 
@@ -229,6 +229,7 @@ pub(crate) fn is_close(a: &[f64; 2], b: &[f64; 2]) -> bool {
 /// The group of each pair of places, from the path length of both: pairs that are close along the path,
 /// directly or through others.
 pub(crate) fn groups(pairs_m: &[[f64; 2]]) -> Vec<usize> {
+    let near = NearPoses::of_points(pairs_m.iter().copied(), GROUP_M);
     let mut groups = vec![usize::MAX; pairs_m.len()];
     let mut n_groups = 0;
     for first in 0..pairs_m.len() {
@@ -238,7 +239,7 @@ pub(crate) fn groups(pairs_m: &[[f64; 2]]) -> Vec<usize> {
         groups[first] = n_groups;
         let mut open = vec![first];
         while let Some(k) = open.pop() {
-            for other in 0..pairs_m.len() {
+            for other in near.around_point(pairs_m[k]) {
                 if groups[other] == usize::MAX && is_close(&pairs_m[k], &pairs_m[other]) {
                     groups[other] = n_groups;
                     open.push(other);

@@ -126,12 +126,6 @@ impl<'a> Drive<'a> {
         Self { scans, points, odometry, poses, path_m, is_keyframe, is_decided }
     }
 
-    /// How the odometry of the drive differs from the motion that its scans show. `noise` is the error of
-    /// odometry in general.
-    pub fn odometry_model(&self, noise: &OdometryNoise) -> OdometryModel {
-        OdometryModel::of_drive(&self.odometry, &self.poses, &self.is_decided, noise)
-    }
-
     /// Aligns all scans with poses jointly, see [`align_jointly`]. The steps of the odometry count without
     /// their systematic error, and with the random error that the scans show, see [`OdometryModel`].
     /// `noise` is the error of odometry in general.
@@ -142,7 +136,7 @@ impl<'a> Drive<'a> {
         noise: &OdometryNoise,
         options: &JointOptions,
     ) -> Vec<Pose2> {
-        let model = self.odometry_model(noise);
+        let model = OdometryModel::of_drive(&self.odometry, &self.poses, &self.is_decided, noise);
         let odometry = model.corrected_poses(&self.odometry);
         let noise = model.noise_of_steps(&odometry, &self.poses, &self.is_decided, noise);
         let scans = JointScans {

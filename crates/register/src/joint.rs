@@ -277,8 +277,7 @@ fn pair_term(source: &Points, target: &Target, target_from_source: &Pose2, gates
 fn odometry_term(scans: &JointScans<'_>, k: usize, poses: &[Pose2]) -> Term {
     let noise = &scans.noise[k];
     let step_m = (scans.path_m[k] - scans.path_m[k - 1]).max(MIN_STEP_M);
-    let std_m = noise.std_m_per_m * step_m + noise.std_m;
-    let std_rad = noise.std_rad_per_sqrt_m * step_m.sqrt() + noise.std_rad;
+    let (std_m, std_rad) = (noise.std_m_over(step_m), noise.std_rad_over(step_m));
     let weights = Vector3::new(std_m, std_m, std_rad).map(|std| 1.0 / (std * std));
     let measured = scans.odometry[k - 1].inverse() * scans.odometry[k];
     let step = poses[k - 1].inverse() * poses[k];

@@ -138,7 +138,7 @@ const MIN_STEP_M: f64 = 0.02;
 const MIN_TURN_STEP_M: f64 = 0.05;
 
 impl ScanMatcher {
-    /// A matcher without keyframes, for odometry of which little is known: `noise` should be large.
+    /// A matcher without keyframes, for odometry that little is known about: `noise` should be large.
     pub fn new(options: MatcherOptions, noise: OdometryNoise) -> Self {
         Self {
             options,
@@ -317,8 +317,8 @@ impl ScanMatcher {
 
 /// The odometry after a step as a prior.
 fn prior(noise: &OdometryNoise, expected: Pose2, step_m: f64) -> Prior {
-    let std_m = noise.std_m_per_m * step_m.max(MIN_STEP_M) + noise.std_m;
-    let std_rad = noise.std_rad_per_sqrt_m * step_m.max(MIN_TURN_STEP_M).sqrt() + noise.std_rad;
+    let std_m = noise.std_m_over(step_m.max(MIN_STEP_M));
+    let std_rad = noise.std_rad_over(step_m.max(MIN_TURN_STEP_M));
     Prior::independent(expected, std_m, std_m, std_rad)
 }
 

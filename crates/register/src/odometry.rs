@@ -40,16 +40,6 @@ pub struct OdometryStep {
 
 /// The least number of steps for a fit.
 const MIN_STEPS: usize = 50;
-/// The smallest error of the odometry that is believed. A millimetre per step would make the odometry a
-/// constraint.
-const LEAST_NOISE: OdometryNoise = OdometryNoise {
-    std_m_per_m: 0.02,
-    std_m: 0.005,
-    // 0.3 deg.
-    std_rad_per_sqrt_m: 0.005_235_987_755_982_988,
-    // 0.1 deg.
-    std_rad: 0.001_745_329_251_994_329_5,
-};
 /// What is known about the scales before the fit: 1 with this standard deviation.
 const SCALE_STD: f64 = 0.1;
 /// The same for the turn per metre: 0 with this standard deviation \[rad/m\].
@@ -86,9 +76,9 @@ impl OdometryModel {
         let (std_m_per_m, std_rad_per_sqrt_m) = model.spread(steps);
         model.noise = OdometryNoise {
             std_m_per_m: std_m_per_m.min(noise.std_m_per_m),
-            std_m: LEAST_NOISE.std_m.min(noise.std_m),
+            std_m: OdometryNoise::LEAST.std_m.min(noise.std_m),
             std_rad_per_sqrt_m: std_rad_per_sqrt_m.min(noise.std_rad_per_sqrt_m),
-            std_rad: LEAST_NOISE.std_rad.min(noise.std_rad),
+            std_rad: OdometryNoise::LEAST.std_rad.min(noise.std_rad),
         };
         model.n_steps = steps.len();
         model
@@ -191,8 +181,8 @@ impl OdometryModel {
         let rank = (WITHIN_STD * (steps.len() - 1) as f64) as usize;
         let at_rank = |of: &mut [f64]| *of.select_nth_unstable_by(rank, f64::total_cmp).1;
         (
-            at_rank(&mut of_position).max(LEAST_NOISE.std_m_per_m),
-            at_rank(&mut of_heading).max(LEAST_NOISE.std_rad_per_sqrt_m),
+            at_rank(&mut of_position).max(OdometryNoise::LEAST.std_m_per_m),
+            at_rank(&mut of_heading).max(OdometryNoise::LEAST.std_rad_per_sqrt_m),
         )
     }
 
@@ -251,8 +241,7 @@ impl OdometryStep {
     /// Squared error in standard deviations.
     fn chi2(&self, noise: &OdometryNoise) -> f64 {
         let path_m = self.path_m();
-        let std_m = noise.std_m_per_m * path_m + noise.std_m;
-        let std_rad = noise.std_rad_per_sqrt_m * path_m.sqrt() + noise.std_rad;
+        let (std_m, std_rad) = (noise.std_m_over(path_m), noise.std_rad_over(path_m));
         let [x_m, y_m, turn_rad] = self.errors();
         Vector3::new(x_m / std_m, y_m / std_m, turn_rad / std_rad).norm_squared()
     }

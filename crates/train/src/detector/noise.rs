@@ -21,16 +21,6 @@ const PATH_TOLERANCE: f64 = 0.2;
 /// Fewer pairs of poses do not give a scale: its 95 % quantile would be the second largest error.
 const MIN_PAIRS: usize = 30;
 
-/// Smallest error of the odometry. Better odometry has covariances of its own. The values are guesses:
-/// a millimetre per step and a tenth of a degree would make the prior of scan matching a constraint.
-const LEAST_ODOMETRY: OdometryNoise = OdometryNoise {
-    std_m_per_m: 0.02,
-    std_m: 0.005,
-    // 0.3 deg.
-    std_rad_per_sqrt_m: 0.005_235_987_755_982_988,
-    // 0.1 deg.
-    std_rad: 0.001_745_329_251_994_329_5,
-};
 /// Smallest drift. The values are guesses, half of those with which the prototype closed all loops of
 /// the training logs: another building may have longer corridors.
 const LEAST_DRIFT: Drift = Drift {
@@ -66,7 +56,7 @@ pub(super) fn fit_odometry(logs: &[LogEvidence]) -> Result<OdometryNoise, NotFit
     };
     let (std_m, std_m_per_m) = fit(false, |scale| scale.std_m);
     let (std_rad, std_rad_per_sqrt_m) = fit(true, |scale| scale.std_rad);
-    let least = LEAST_ODOMETRY;
+    let least = OdometryNoise::LEAST;
     Ok(OdometryNoise {
         std_m_per_m: std_m_per_m.max(least.std_m_per_m),
         std_m: std_m.max(least.std_m),
