@@ -53,6 +53,7 @@ fn drive(scans: &[Scan]) -> Drive<'_> {
         odometry: poses.clone(),
         poses,
         path_m,
+        starts: vec![0],
         is_keyframe: vec![true; scans.len()],
         is_decided: vec![true; scans.len()],
     }

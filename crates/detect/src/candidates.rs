@@ -70,11 +70,45 @@ pub fn find_candidates(
     min_path_m: f64,
     classify: Option<Classify<'_>>,
 ) -> Vec<Candidate> {
+    let path_m: Vec<f64> = places.scans.iter().map(|&k| drive.path_m[k]).collect();
+    let n_references: Vec<usize> =
+        path_m.iter().map(|&q| path_m.partition_point(|&r| min_path_m <= q - r)).collect();
+    candidates_among(places, &n_references, detector, classify)
+}
+
+/// Finds candidates between drives, in the same way: for each place of each drive from `first_drive` on, among
+/// the places of all drives before its own. `drive` and `places` are [`Drive::joined`] and
+/// [`Places::joined`].
+pub fn find_candidates_between(
+    drive: &Drive<'_>,
+    places: &Places,
+    detector: &Detector,
+    first_drive: usize,
+    classify: Option<Classify<'_>>,
+) -> Vec<Candidate> {
+    let n_earlier = |query: &usize| {
+        let of_drive = drive.starts.partition_point(|start| start <= query) - 1;
+        match first_drive <= of_drive {
+            true => places.scans.partition_point(|&scan| scan < drive.starts[of_drive]),
+            false => 0,
+        }
+    };
+    let n_references: Vec<usize> = places.scans.iter().map(n_earlier).collect();
+    candidates_among(places, &n_references, detector, classify)
+}
+
+/// For each place, candidates among the first `n_references` places.
+fn candidates_among(
+    places: &Places,
+    n_references: &[usize],
+    detector: &Detector,
+    classify: Option<Classify<'_>>,
+) -> Vec<Candidate> {
     let Some(first) = places.nodes.first() else { return Vec::new() };
     let describer = Describer::new(first.submap().n_squares());
     let rows: Vec<Vec<f32>> =
         places.nodes.par_iter().map(|node| describer.describe(node.submap())).collect();
-    let similar = similar_places(drive, places, &rows, detector, min_path_m, classify);
+    let similar = similar_places(places, &rows, n_references, detector, classify);
     let finder =
         Finder { places, detector, classify, options: fit_options(FIRST_GATE_M, MAX_ITERATIONS) };
     (0..places.nodes.len())
@@ -86,19 +120,15 @@ pub fn find_candidates(
 
 /// For each place, the earlier places that it is compared with, the most similar one first.
 fn similar_places(
-    drive: &Drive<'_>,
     places: &Places,
     rows: &[Vec<f32>],
+    n_references: &[usize],
     detector: &Detector,
-    min_path_m: f64,
     classify: Option<Classify<'_>>,
 ) -> Vec<Vec<usize>> {
-    let path_m: Vec<f64> = places.scans.iter().map(|&k| drive.path_m[k]).collect();
-    let n_references: Vec<usize> =
-        path_m.iter().map(|&q| path_m.partition_point(|&r| min_path_m <= q - r)).collect();
     let n = N_CORRELATED.max(detector.n_candidates as usize);
     let n_ranked = if classify.is_some() { RANKED_PER_CORRELATED * n } else { n };
-    let similar = Descriptors::new(rows).most_similar(n_ranked, &n_references);
+    let similar = Descriptors::new(rows).most_similar(n_ranked, n_references);
     let order = |(query, similar): (usize, Vec<_>)| {
         let by_descriptor: Vec<usize> = similar.into_iter().map(|s: Similar| s.reference).collect();
         let mut ranked = match classify {

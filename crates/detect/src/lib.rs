@@ -29,7 +29,7 @@ mod descriptor;
 mod places;
 mod retrieval;
 
-pub use candidates::{Candidate, Classify, find_candidates};
+pub use candidates::{Candidate, Classify, find_candidates, find_candidates_between};
 pub use descriptor::{DESCRIPTOR_LEN, Describer};
 pub use places::Places;
 pub use retrieval::{Descriptors, Similar};

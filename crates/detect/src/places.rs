@@ -26,4 +26,18 @@ impl Places {
         let nodes = scans.par_iter().map(node).collect();
         Self { scans, nodes }
     }
+
+    /// The places of several drives, for [`Drive::joined`]. `starts` are the first scans of the drives.
+    ///
+    /// # Panics
+    /// If there is not one start per drive.
+    pub fn joined(places: Vec<Self>, starts: &[usize]) -> Self {
+        assert_eq!(places.len(), starts.len(), "one start per drive");
+        let mut joined = Self { scans: Vec::new(), nodes: Vec::new() };
+        for (of_drive, start) in places.into_iter().zip(starts) {
+            joined.scans.extend(of_drive.scans.iter().map(|scan| start + scan));
+            joined.nodes.extend(of_drive.nodes);
+        }
+        joined
+    }
 }

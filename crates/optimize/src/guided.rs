@@ -73,19 +73,20 @@ impl Compared {
     }
 }
 
-/// The pairs of places at most [`REACH_M`] apart by `poses`, with at least `min_path_m` of path between them. At most
-/// `most` references per query, the nearest first, and then at most one per `every_m` of path.
+/// The pairs of places, of those for which `is_pair(reference, query)` holds, that are at most [`REACH_M`]
+/// apart by `poses`. With a limit, at most so many references per query, the nearest first, and at most one
+/// per piece of path.
 pub(crate) fn predictions(
     path_m: &[f64],
     poses: &[Pose2],
-    min_path_m: f64,
+    is_pair: &(dyn Fn(usize, usize) -> bool + Sync),
     limit: Option<Limit>,
 ) -> Vec<Prediction> {
     let near_poses = NearPoses::new(poses, REACH_M);
     let of_query = |query: usize| {
         let mut near: Vec<(f64, usize)> = near_poses
             .around(&poses[query])
-            .filter(|&k| k < query && min_path_m <= path_m[query] - path_m[k])
+            .filter(|&k| is_pair(k, query))
             .map(|k| (poses[k].distance_m(&poses[query]), k))
             .filter(|&(distance_m, _)| distance_m <= REACH_M)
             .collect();

@@ -17,6 +17,7 @@ mod gnc;
 mod graph;
 mod guided;
 mod places;
+mod site;
 mod solve;
 mod support;
 
@@ -27,6 +28,7 @@ use nalgebra::Matrix3;
 pub use every_scan::align_every_scan;
 pub use gnc::{MAX_CHI2, Robust, reject_false_closures};
 pub use graph::{Edge, covariances, optimize};
+pub use site::{Join, JoinOutcome, Known, Site, join_drives};
 pub use solve::close_loops;
 
 /// A possible closure between two scans of a drive, as `detect` finds it.

@@ -1,5 +1,7 @@
 //! The vertices of the pose graph: places along a drive, with their submaps.
 
+use std::ops::Range;
+
 use dataset::Pose2;
 use model::Drift;
 use rayon::prelude::*;
@@ -37,36 +39,57 @@ pub(crate) fn make_places(
 /// Path that counts for the drift between two places at least \[m\].
 const MIN_STEP_M: f64 = 0.2;
 
-/// The edges between consecutive places: relative poses by scan matching, with errors that grow with
-/// the square root of the path.
-pub(crate) fn chain(drive: &Drive<'_>, scans: &[usize], drift: &Drift) -> Vec<Edge> {
+/// The edges between consecutive places of a drive: relative poses by scan matching, with errors that grow
+/// with the square root of the path. `poses` are those of all scans.
+pub(crate) fn chain(
+    drive: &Drive<'_>,
+    poses: &[Pose2],
+    scans: &[usize],
+    drift: &Drift,
+) -> Vec<Edge> {
     let edge = |(k, pair): (usize, &[usize])| {
         let [from, to] = [pair[0], pair[1]];
-        let step = drive.poses[from].inverse() * drive.poses[to];
+        if drive.part_of(from) != drive.part_of(to) {
+            return None;
+        }
+        let step = poses[from].inverse() * poses[to];
         let root = (drive.path_m[to] - drive.path_m[from]).max(MIN_STEP_M).sqrt();
         let (std_m, std_rad) = (drift.std_m_per_sqrt_m * root, drift.std_rad_per_sqrt_m * root);
-        Edge::independent(k, k + 1, step, std_m, std_rad)
+        Some(Edge::independent(k, k + 1, step, std_m, std_rad))
     };
-    scans.windows(2).enumerate().map(edge).collect()
+    scans.windows(2).enumerate().filter_map(edge).collect()
 }
 
-/// Carries the poses of places to all scans of a drive: each scan keeps its relative pose to the place
-/// before and to the place after it, weighted by its position between them.
+/// Carries the poses of places to all scans of their drives: each scan keeps its relative pose to the place
+/// before and to the place after it, weighted by its position between them. Scans of drives without a
+/// place stay.
 ///
 /// `before` are the poses of all scans, `places` the ascending indices of the places, and `after` their
 /// new poses.
-pub(crate) fn carry(before: &[Pose2], places: &[usize], after: &[Pose2]) -> Vec<Pose2> {
-    let Some(&first) = places.first() else { return before.to_vec() };
-    (0..before.len())
-        .map(|scan| {
-            let k = places.partition_point(|&place| place <= scan).saturating_sub(1);
-            let next = (k + 1).min(places.len() - 1);
-            let from = |k: usize| after[k] * (before[places[k]].inverse() * before[scan]);
-            let weight = match scan < first || next == k {
-                true => 0.0,
-                false => (scan - places[k]) as f64 / (places[next] - places[k]) as f64,
-            };
-            from(k).towards(&from(next), weight)
-        })
-        .collect()
+pub(crate) fn carry(
+    drive: &Drive<'_>,
+    before: &[Pose2],
+    places: &[usize],
+    after: &[Pose2],
+) -> Vec<Pose2> {
+    let carried = |scan: usize, of_part: Range<usize>| {
+        let from = |k: usize| after[k] * (before[places[k]].inverse() * before[scan]);
+        let next = places.partition_point(|&place| place <= scan);
+        let last = next.checked_sub(1).filter(|last| of_part.contains(last));
+        match (last, Some(next).filter(|next| of_part.contains(next))) {
+            (Some(last), Some(next)) => {
+                let weight = (scan - places[last]) as f64 / (places[next] - places[last]) as f64;
+                from(last).towards(&from(next), weight)
+            }
+            (Some(one), None) | (None, Some(one)) => from(one),
+            (None, None) => before[scan],
+        }
+    };
+    let mut poses = Vec::with_capacity(before.len());
+    for part in drive.parts() {
+        let at = |scan: usize| places.partition_point(|&place| place < scan);
+        let of_part = at(part.start)..at(part.end);
+        poses.extend(part.map(|scan| carried(scan, of_part.clone())));
+    }
+    poses
 }

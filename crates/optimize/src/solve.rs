@@ -7,6 +7,7 @@ use model::{Detector, Evidence};
 use nalgebra::Matrix3;
 use register::{Drive, JointOptions, pairs_along_path, places as places_along};
 
+use crate::gnc::reject_false_closures;
 use crate::graph::{Edge, covariances};
 use crate::guided::{Compared, Limit, NearPoses, compare, covariance, predictions};
 use crate::places::{carry, chain, make_places};
@@ -16,10 +17,15 @@ use crate::{Closure, Proposal, Reason, Solution};
 /// Proposals with more overlap are offered to the pose graph, whatever their confidence. What is right on
 /// one site has little confidence on another one, and the share test decides in the end.
 const LENIENT_OVERLAP: f64 = 0.25;
+/// Whether a proposal enters the pose graph.
+pub(crate) fn is_offered(proposal: &Proposal, detector: &Detector) -> bool {
+    detector.min_confidence <= proposal.confidence || LENIENT_OVERLAP < proposal.evidence.overlap
+}
+
 /// Path between two places of the pose graph \[m\].
-const PLACE_STEP_M: f64 = 2.5;
+pub(crate) const PLACE_STEP_M: f64 = 2.5;
 /// A submap holds the scans up to this far along the path before and after its place \[m\].
-const HALF_M: f64 = 5.0;
+pub(crate) const HALF_M: f64 = 5.0;
 /// Each keyframe is compared with at most so many references, one per piece of path.
 const KEYFRAME_LIMIT: Limit = Limit { most: 3, every_m: 1.5 };
 
@@ -46,14 +52,10 @@ pub fn close_loops(
     scans.extend(proposals.iter().flat_map(|proposal| [proposal.query, proposal.reference]));
     scans.sort_unstable();
     scans.dedup();
-    let is_offered = |proposal: &Proposal| {
-        detector.min_confidence <= proposal.confidence
-            || LENIENT_OVERLAP < proposal.evidence.overlap
-    };
     let (offered, links): (Vec<usize>, Vec<Link>) = proposals
         .iter()
         .enumerate()
-        .filter(|(_, proposal)| is_offered(proposal))
+        .filter(|(_, proposal)| is_offered(proposal, detector))
         .filter_map(|(k, proposal)| Some((k, Link::of_proposal(proposal, &scans)?)))
         .unzip();
     let mut reasons: Vec<Option<Reason>> = vec![Some(Reason::LowConfidence); proposals.len()];
@@ -62,13 +64,18 @@ pub fn close_loops(
         return unclosed(drive, proposals, &reasons, detector, Vec::new());
     }
     let places = make_places(drive, &drive.poses, &scans, HALF_M);
+    let odometry = chain(drive, &drive.poses, &scans, &detector.drift);
+    let start: Vec<Pose2> = scans.iter().map(|&scan| drive.poses[scan]).collect();
+    let path_m: Vec<f64> = places.iter().map(|place| place.path_m).collect();
+    let is_pair = |reference: usize, query: usize| min_path_m <= path_m[query] - path_m[reference];
     let graph = Graph {
-        drive,
         places: &places,
-        scans: &scans,
-        drift: detector.drift,
-        noise: detector.closure,
-        min_path_m,
+        choose: &|links| {
+            let closures: Vec<Edge> = links.iter().map(|l| l.edge(&detector.closure)).collect();
+            let robust = reject_false_closures(&odometry, &closures, &start);
+            (robust.is_kept, robust.poses)
+        },
+        predict: &|poses| predictions(&path_m, poses, &is_pair, None),
     };
     let mut is_offered = vec![true; links.len()];
     let mut rounds = Vec::new();
@@ -87,8 +94,13 @@ pub fn close_loops(
         let Some(confirmed) = outcome.confirmed else {
             return unclosed(drive, proposals, &reasons, detector, rounds);
         };
-        let poses = align_all(drive, &carry(&drive.poses, &scans, &confirmed), detector);
-        let mut compared = compare_keyframes(drive, &poses, min_path_m);
+        let poses = carry(drive, &drive.poses, &scans, &confirmed);
+        let is_held: Vec<bool> = (0..poses.len()).map(|scan| scan == 0).collect();
+        let poses = align_all(drive, &poses, &|_| true, &is_held, detector);
+        let is_pair = |reference: usize, query: usize| {
+            min_path_m <= drive.path_m[query] - drive.path_m[reference]
+        };
+        let mut compared = compare_keyframes(drive, &poses, &is_pair);
         let unsupported = mark_unsupported(&drive.path_m, &mut compared);
         let mut n_dropped = 0;
         for (position, link) in links.iter().enumerate() {
@@ -126,7 +138,10 @@ fn largest_share(n_confirmed: usize, n_pairs: usize) -> f64 {
 
 /// Marks the pairs of keyframes in groups with too few confirmed pairs. Returns the path length at both
 /// keyframes of each pair in these groups, except groups without any confirmed pair.
-fn mark_unsupported(path_m: &[f64], compared: &mut [ComparedKeyframes]) -> Vec<[f64; 2]> {
+pub(crate) fn mark_unsupported(
+    path_m: &[f64],
+    compared: &mut [ComparedKeyframes],
+) -> Vec<[f64; 2]> {
     let pairs_m: Vec<[f64; 2]> =
         compared.iter().map(|pair| [path_m[pair.reference], path_m[pair.query]]).collect();
     let groups = groups(&pairs_m);
@@ -165,25 +180,32 @@ fn median(values: &mut [f64]) -> f64 {
 }
 
 /// A pair of keyframes, after the comparison.
-struct ComparedKeyframes {
-    reference: usize,
-    query: usize,
-    compared: Compared,
+pub(crate) struct ComparedKeyframes {
+    pub(crate) reference: usize,
+    pub(crate) query: usize,
+    pub(crate) compared: Compared,
     /// Whether the scans confirm enough of the pairs around this one.
-    is_supported: bool,
+    pub(crate) is_supported: bool,
 }
 
-/// Compares each keyframe with the earlier keyframes near it. The submaps have the optimized poses, which
-/// are less bent than those of scan matching.
-fn compare_keyframes(
+impl ComparedKeyframes {
+    pub(crate) fn is_accepted(&self) -> bool {
+        self.is_supported && self.compared.is_confirmed()
+    }
+}
+
+/// Compares each keyframe with the keyframes near it, of those for which `is_pair(reference, query)` holds.
+/// The submaps have the optimized poses, which are less bent than those of scan matching.
+pub(crate) fn compare_keyframes(
     drive: &Drive<'_>,
     poses: &[Pose2],
-    min_path_m: f64,
+    is_pair: &(dyn Fn(usize, usize) -> bool + Sync),
 ) -> Vec<ComparedKeyframes> {
     let keyframes: Vec<usize> = (0..drive.scans.len()).filter(|&k| drive.is_keyframe[k]).collect();
     let keyframe_poses: Vec<Pose2> = keyframes.iter().map(|&k| poses[k]).collect();
     let path_m: Vec<f64> = keyframes.iter().map(|&k| drive.path_m[k]).collect();
-    let mut predicted = predictions(&path_m, &keyframe_poses, min_path_m, Some(KEYFRAME_LIMIT));
+    let is_pair = |a: usize, b: usize| is_pair(keyframes[a], keyframes[b]);
+    let mut predicted = predictions(&path_m, &keyframe_poses, &is_pair, Some(KEYFRAME_LIMIT));
     // Only keyframes that are compared need a submap.
     let mut used: Vec<usize> = predicted.iter().flat_map(|p| [p.reference, p.query]).collect();
     used.sort_unstable();
@@ -215,22 +237,34 @@ const LOOP_GAP_M: f64 = 5.0;
 /// The most earlier scans per scan, one per metre of path.
 const LOOP_PARTNERS: usize = 6;
 
-/// Aligns all scans jointly, along the path and over the closures.
-fn align_all(drive: &Drive<'_>, poses: &[Pose2], detector: &Detector) -> Vec<Pose2> {
+/// Aligns all scans of a map jointly, along the path and over the closures. Those that are held stay.
+pub(crate) fn align_all(
+    drive: &Drive<'_>,
+    poses: &[Pose2],
+    is_in_map: &dyn Fn(usize) -> bool,
+    is_held: &[bool],
+    detector: &Detector,
+) -> Vec<Pose2> {
     let mut pairs = pairs_along_path(&drive.path_m);
-    pairs.extend(pairs_over_closures(drive, poses));
+    pairs.retain(|&(earlier, _)| is_in_map(earlier));
+    pairs.extend(pairs_over_closures(drive, poses, is_in_map));
+    pairs.retain(|&(earlier, later)| !(is_held[earlier] && is_held[later]));
     let options = JointOptions { iterations: JOINT_ITERATIONS, ..JointOptions::default() };
-    drive.align_jointly(poses, &pairs, &detector.odometry, &options)
+    drive.align_jointly(poses, &pairs, is_held, &detector.odometry, &options)
 }
 
-/// Pairs of scans that are close by the poses but not along the path.
-fn pairs_over_closures(drive: &Drive<'_>, poses: &[Pose2]) -> Vec<(usize, usize)> {
+/// Pairs of scans of a map that are close by the poses but not along the path.
+fn pairs_over_closures(
+    drive: &Drive<'_>,
+    poses: &[Pose2],
+    is_in_map: &dyn Fn(usize) -> bool,
+) -> Vec<(usize, usize)> {
     let near_poses = NearPoses::new(poses, LOOP_REACH_M);
     let mut pairs = Vec::new();
-    for later in 0..poses.len() {
+    for later in (0..poses.len()).filter(|&scan| is_in_map(scan)) {
         let mut near: Vec<(f64, usize)> = near_poses
             .around(&poses[later])
-            .filter(|&k| k < later && LOOP_GAP_M < drive.path_m[later] - drive.path_m[k])
+            .filter(|&k| LOOP_GAP_M < drive.path_m[later] - drive.path_m[k] && is_in_map(k))
             .filter(|&k| poses[k].distance_m(&poses[later]) <= LOOP_REACH_M)
             .map(|k| {
                 let turn_rad = poses[k].heading_difference_rad(&poses[later]);
@@ -286,7 +320,6 @@ fn closed(
     compared: &[ComparedKeyframes],
     rounds: Vec<crate::Round>,
 ) -> Solution {
-    // Compared keyframes take the place of the proposal for the same pair.
     let mut closures: BTreeMap<(usize, usize), Closure> = proposals
         .iter()
         .zip(reasons)
@@ -295,17 +328,31 @@ fn closed(
             ((proposal.query, proposal.reference), Closure { proposal, rejected })
         })
         .collect();
+    add_compared(&mut closures, compared, detector);
+    let closures: Vec<Closure> = closures.into_values().collect();
+    let accepted: Vec<Proposal> =
+        closures.iter().filter(|c| c.rejected.is_none()).map(|c| c.proposal).collect();
+    let (covariances, edges) = graph_of(drive, &poses, &accepted, detector);
+    Solution { closures, poses, covariances, edges, rounds }
+}
+
+/// Adds compared keyframes. They take the place of what was known of the same pair before.
+pub(crate) fn add_compared(
+    closures: &mut BTreeMap<(usize, usize), Closure>,
+    compared: &[ComparedKeyframes],
+    detector: &Detector,
+) {
     for pair in compared {
         let fit = &pair.compared.fit;
-        let proposal = closures.get(&(pair.query, pair.reference)).map(|c| c.proposal.evidence);
+        let before = closures.get(&(pair.query, pair.reference)).map(|c| c.proposal.evidence);
         let evidence = Evidence {
             overlap: fit.overlap,
             known_overlap: fit.known_overlap,
             n_known: fit.n_known as u32,
             conflict: fit.known_conflict(),
-            margin: proposal.map_or(0.0, |evidence| evidence.margin),
+            margin: before.map_or(0.0, |evidence| evidence.margin),
             weakness: fit.alignment.weakness.map_or(0.0, |weakness| weakness.ratio),
-            classifier: proposal.and_then(|evidence| evidence.classifier),
+            classifier: before.and_then(|evidence| evidence.classifier),
         };
         let rejected = match (pair.compared.is_confirmed(), pair.is_supported) {
             (false, _) => Some(Reason::NotConfirmed),
@@ -322,23 +369,17 @@ fn closed(
         };
         closures.insert((pair.query, pair.reference), Closure { proposal, rejected });
     }
-    let closures: Vec<Closure> = closures.into_values().collect();
-    let accepted: Vec<Proposal> =
-        closures.iter().filter(|c| c.rejected.is_none()).map(|c| c.proposal).collect();
-    let (covariances, edges) = graph_of(drive, &poses, &accepted, detector);
-    Solution { closures, poses, covariances, edges, rounds }
 }
 
-/// The pose graph over all scans of a drive with its accepted closures, and the covariances of the
-/// poses.
-fn graph_of(
+/// The pose graph over all scans with the accepted closures, and the covariances of the poses.
+pub(crate) fn graph_of(
     drive: &Drive<'_>,
     poses: &[Pose2],
     accepted: &[Proposal],
     detector: &Detector,
 ) -> (Vec<Matrix3<f64>>, Vec<Edge>) {
     let scans: Vec<usize> = (0..drive.scans.len()).collect();
-    let mut edges = chain(drive, &scans, &detector.drift);
+    let mut edges = chain(drive, &drive.poses, &scans, &detector.drift);
     edges.extend(accepted.iter().filter_map(|closure| {
         Some(Edge {
             a: closure.reference,

@@ -1,13 +1,11 @@
 //! The share test: a map is right if its scans confirm the places that it predicts to be the same.
 
 use dataset::Pose2;
-use model::{ClosureNoise, Drift};
-use register::Drive;
+use model::ClosureNoise;
 
-use crate::gnc::reject_false_closures;
 use crate::graph::Edge;
-use crate::guided::{Compared, NearPoses, compare, predictions};
-use crate::places::{Place, chain};
+use crate::guided::{Compared, NearPoses, Prediction, compare};
+use crate::places::Place;
 use crate::{Proposal, Round};
 
 /// Two closures belong to the same group if both of their places are this close along the path \[m\].
@@ -29,13 +27,12 @@ const MAX_LAST_ROUNDS: usize = 4;
 
 /// What the search for consistent closures needs.
 pub(crate) struct Graph<'a> {
-    pub(crate) drive: &'a Drive<'a>,
     pub(crate) places: &'a [Place],
-    /// The index of the scan of each place.
-    pub(crate) scans: &'a [usize],
-    pub(crate) drift: Drift,
-    pub(crate) noise: ClosureNoise,
-    pub(crate) min_path_m: f64,
+    /// Chooses the links that agree with each other and with what is trusted. Returns for each link whether
+    /// it is kept, and the poses of the places.
+    pub(crate) choose: &'a dyn Fn(&[Link]) -> (Vec<bool>, Vec<Pose2>),
+    /// The pairs of places that poses of the places predict to be the same.
+    pub(crate) predict: &'a dyn Fn(&[Pose2]) -> Vec<Prediction>,
 }
 
 /// A relative pose between two places.
@@ -61,27 +58,8 @@ pub(crate) struct Outcome {
 }
 
 impl Graph<'_> {
-    fn edges(&self, links: &[Link]) -> Vec<Edge> {
-        let edge = |link: &Link| {
-            let Link { reference, query, reference_from_query } = *link;
-            let noise = &self.noise;
-            let (std_m, std_rad) = (noise.consistency_std_m, noise.consistency_std_rad);
-            Edge::independent(reference, query, reference_from_query, std_m, std_rad)
-        };
-        links.iter().map(edge).collect()
-    }
-
-    /// Chooses the links that agree with each other and with the odometry.
-    fn choose(&self, links: &[Link]) -> (Vec<bool>, Vec<Pose2>) {
-        let odometry = chain(self.drive, self.scans, &self.drift);
-        let start: Vec<Pose2> = self.scans.iter().map(|&k| self.drive.poses[k]).collect();
-        let robust = reject_false_closures(&odometry, &self.edges(links), &start);
-        (robust.is_kept, robust.poses)
-    }
-
     fn compare_predictions(&self, poses: &[Pose2]) -> Vec<Compared> {
-        let path_m: Vec<f64> = self.places.iter().map(|place| place.path_m).collect();
-        compare(self.places, &predictions(&path_m, poses, self.min_path_m, None))
+        compare(self.places, &(self.predict)(poses))
     }
 
     /// Drops groups of links that the scans do not support, until the rest is supported or nothing is
@@ -96,7 +74,7 @@ impl Graph<'_> {
         let mut active: Vec<usize> = (0..links.len()).filter(|&k| offered[k]).collect();
         for _ in 0..MAX_ROUNDS {
             let offered: Vec<Link> = active.iter().map(|&k| links[k]).collect();
-            let (is_kept, poses) = self.choose(&offered);
+            let (is_kept, poses) = (self.choose)(&offered);
             let kept: Vec<usize> =
                 active.iter().zip(&is_kept).filter(|(_, kept)| **kept).map(|(&k, _)| k).collect();
             if kept.is_empty() {
@@ -199,7 +177,7 @@ impl Graph<'_> {
             };
             let rest: Vec<Link> = kept.iter().filter(|link| !is_compared(link)).copied().collect();
             links.extend(rest);
-            let (is_kept, next) = self.choose(&links);
+            let (is_kept, next) = (self.choose)(&links);
             let moved_m = poses.iter().zip(&next).map(|(a, b)| a.distance_m(b)).fold(0.0, f64::max);
             poses = next;
             compared = self.compare_predictions(&poses);
@@ -252,6 +230,12 @@ pub(crate) fn groups(pairs_m: &[[f64; 2]]) -> Vec<usize> {
 }
 
 impl Link {
+    /// The edge of a pose graph: whether links agree is judged with the consistency error of closures.
+    pub(crate) fn edge(&self, noise: &ClosureNoise) -> Edge {
+        let (std_m, std_rad) = (noise.consistency_std_m, noise.consistency_std_rad);
+        Edge::independent(self.reference, self.query, self.reference_from_query, std_m, std_rad)
+    }
+
     fn of(pair: &Compared) -> Self {
         let (reference, query) = (pair.reference, pair.query);
         Self { reference, query, reference_from_query: pair.fit.a_from_b }

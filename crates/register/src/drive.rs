@@ -1,5 +1,7 @@
 //! A drive: scans in the order of time with their poses.
 
+use std::ops::Range;
+
 use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan};
 use model::OdometryNoise;
 use nalgebra::Matrix3;
@@ -92,8 +94,10 @@ pub struct Drive<'a> {
     pub odometry: Vec<Pose2>,
     /// Pose of the lidar by scan matching.
     pub poses: Vec<Pose2>,
-    /// Path length by odometry \[m\].
+    /// Path length by odometry \[m\]. Where another drive begins, it steps by [`NEW_DRIVE_M`].
     pub path_m: Vec<f64>,
+    /// The first scan of each drive: `[0]`, or more after [`Drive::joined`].
+    pub starts: Vec<usize>,
     /// Whether the scan is a keyframe.
     pub is_keyframe: Vec<bool>,
     /// Whether the scan determined its position, see [`Registered::is_decided`].
@@ -103,6 +107,9 @@ pub struct Drive<'a> {
 /// One point per square of this size is kept of a scan \[m\]. A scanner with thousands of returns per
 /// scan would otherwise need more time for the same result.
 const SCAN_VOXEL_M: f64 = 0.05;
+/// Path between the last scan of a drive and the first one of the next drive \[m\]: more than any two
+/// scans that count as neighbours along the path.
+pub const NEW_DRIVE_M: f64 = 1000.0;
 
 impl<'a> Drive<'a> {
     /// Computes points and path. The path is the sum of the distances between consecutive scans, by
@@ -123,27 +130,78 @@ impl<'a> Drive<'a> {
         assert!(is_keyframe.len() == n && is_decided.len() == n);
         let points = scans.par_iter().map(|scan| points_of(scan, limits)).collect();
         let path_m = path_m(&odometry);
-        Self { scans, points, odometry, poses, path_m, is_keyframe, is_decided }
+        Self { scans, points, odometry, poses, path_m, starts: vec![0], is_keyframe, is_decided }
     }
 
-    /// Aligns all scans with poses jointly, see [`align_jointly`]. The steps of the odometry count without
-    /// their systematic error, and with the random error that the scans show, see [`OdometryModel`].
-    /// `noise` is the error of odometry in general.
+    /// Puts drives one after the other. Nothing is known of the motion between them: their poses need not
+    /// be in one frame.
+    pub fn joined(drives: Vec<Self>) -> Self {
+        let mut joined = Self {
+            scans: Vec::new(),
+            points: Vec::new(),
+            odometry: Vec::new(),
+            poses: Vec::new(),
+            path_m: Vec::new(),
+            starts: Vec::new(),
+            is_keyframe: Vec::new(),
+            is_decided: Vec::new(),
+        };
+        for drive in drives {
+            let first = joined.scans.len();
+            let from_m = joined.path_m.last().map_or(0.0, |last| last + NEW_DRIVE_M);
+            joined.starts.extend(drive.starts.iter().map(|start| first + start));
+            joined.path_m.extend(drive.path_m.iter().map(|path_m| from_m + path_m));
+            joined.scans.extend(drive.scans);
+            joined.points.extend(drive.points);
+            joined.odometry.extend(drive.odometry);
+            joined.poses.extend(drive.poses);
+            joined.is_keyframe.extend(drive.is_keyframe);
+            joined.is_decided.extend(drive.is_decided);
+        }
+        joined
+    }
+
+    /// The scans of each drive.
+    pub fn parts(&self) -> Vec<Range<usize>> {
+        let ends = self.starts.iter().skip(1).copied().chain([self.scans.len()]);
+        self.starts.iter().copied().zip(ends).map(|(start, end)| start..end).collect()
+    }
+
+    /// The drive that a scan belongs to.
+    pub fn part_of(&self, scan: usize) -> usize {
+        self.starts.partition_point(|&start| start <= scan) - 1
+    }
+
+    /// Aligns scans with poses jointly, see [`align_jointly`]. Those that are held stay. The steps of the
+    /// odometry count without their systematic error, and with the random error that the scans show, see
+    /// [`OdometryModel`]. `noise` is the error of odometry in general.
     pub fn align_jointly(
         &self,
         poses: &[Pose2],
         pairs: &[(usize, usize)],
+        is_held: &[bool],
         noise: &OdometryNoise,
         options: &JointOptions,
     ) -> Vec<Pose2> {
-        let model = OdometryModel::of_drive(&self.odometry, &self.poses, &self.is_decided, noise);
-        let odometry = model.corrected_poses(&self.odometry);
-        let noise = model.noise_of_steps(&odometry, &self.poses, &self.is_decided, noise);
+        let (mut odometry, mut noise_of_steps) = (Vec::new(), Vec::new());
+        for part in self.parts() {
+            let [by_odometry, matched] = [&self.odometry, &self.poses].map(|p| &p[part.clone()]);
+            let is_decided = &self.is_decided[part.clone()];
+            let model = OdometryModel::of_drive(by_odometry, matched, is_decided, noise);
+            let corrected = model.corrected_poses(by_odometry);
+            let of_steps = model.noise_of_steps(&corrected, matched, is_decided, noise);
+            noise_of_steps.extend(of_steps.into_iter().zip(part.clone()).map(|(noise, scan)| {
+                let is_first = scan == part.start;
+                (!is_first).then_some(noise)
+            }));
+            odometry.extend(corrected);
+        }
         let scans = JointScans {
             points: &self.points,
             odometry: &odometry,
             path_m: &self.path_m,
-            noise: &noise,
+            noise: &noise_of_steps,
+            is_held,
         };
         align_jointly(&scans, poses, pairs, options)
     }
@@ -202,7 +260,15 @@ pub fn register_drive(
     let poses: Vec<Pose2> = matched.iter().map(|matched| matched.pose).collect();
     let is_decided: Vec<bool> = matched.iter().map(Matched::is_decided).collect();
     let noise = model.noise_of_steps(&odometry, &poses, &is_decided, noise);
-    let joint = JointScans { points: &used, odometry: &odometry, path_m: &path_m, noise: &noise };
+    let noise: Vec<_> = noise.into_iter().map(Some).collect();
+    let is_held: Vec<bool> = (0..used.len()).map(|scan| scan == 0).collect();
+    let joint = JointScans {
+        points: &used,
+        odometry: &odometry,
+        path_m: &path_m,
+        noise: &noise,
+        is_held: &is_held,
+    };
     let poses = align_jointly(&joint, &poses, &pairs, &JointOptions::default());
     let registered = chosen.iter().zip(&poses).zip(&matched);
     registered

@@ -52,8 +52,10 @@ pub struct JointScans<'a> {
     pub odometry: &'a [Pose2],
     /// Path length by odometry \[m\].
     pub path_m: &'a [f64],
-    /// Error of the odometry of the step that ends at each scan.
-    pub noise: &'a [OdometryNoise],
+    /// Error of the odometry of the step that ends at each scan. `None` where a drive begins.
+    pub noise: &'a [Option<OdometryNoise>],
+    /// Whether the pose of a scan stays.
+    pub is_held: &'a [bool],
 }
 
 /// Scans with fewer points take no part in pairs.
@@ -66,13 +68,14 @@ const MIN_NORMAL_COS: f64 = 0.8;
 const MAX_FIRST_STEP: f64 = 0.3;
 /// Path that counts for the odometry error at least \[m\].
 const MIN_STEP_M: f64 = 0.05;
-/// Information that holds the first pose \[1/m^2\].
+/// Information that holds a pose \[1/m^2\].
 const ANCHOR: f64 = 1e9;
 /// Added to the diagonal, so that a pose without any information stays.
 const DAMPING: f64 = 1e-6;
 
 /// Aligns all scans at once: point to line, over the given pairs of scans in both directions, with the
-/// odometry between consecutive scans as prior. The first pose stays.
+/// odometry between consecutive scans as prior. A scan without pairs, and with held neighbours or none,
+/// stays.
 ///
 /// Lu and Milios 1997, "Globally consistent range scan alignment for environment mapping", with the
 /// point-to-line metric and a robust weight.
@@ -83,15 +86,21 @@ pub fn align_jointly(
     options: &JointOptions,
 ) -> Vec<Pose2> {
     let n = poses.len();
-    let targets: Vec<Option<Target>> = scans
-        .points
-        .par_iter()
-        .map(|points| {
-            (MIN_POINTS <= points.len()).then(|| Target::new(points.clone(), options.first_gate_m))
+    let mut has_pairs = vec![false; n];
+    pairs.iter().for_each(|&(a, b)| (has_pairs[a], has_pairs[b]) = (true, true));
+    let used = || scans.points.par_iter().zip(&has_pairs);
+    let targets: Vec<Option<Target>> = used()
+        .map(|(points, &has_pairs)| {
+            let is_target = has_pairs && MIN_POINTS <= points.len();
+            is_target.then(|| Target::new(points.clone(), options.first_gate_m))
         })
         .collect();
-    let sources: Vec<Points> =
-        scans.points.par_iter().map(|points| points.thin(SOURCE_VOXEL_M)).collect();
+    let sources: Vec<Points> = used()
+        .map(|(points, &has_pairs)| match has_pairs {
+            true => points.thin(SOURCE_VOXEL_M),
+            false => Points::default(),
+        })
+        .collect();
     let steps = (1..n).map(|k| (k - 1, k));
     let mut system = BlockSystem::new(n, pairs.iter().copied().chain(steps));
     let mut poses = poses.to_vec();
@@ -118,14 +127,19 @@ pub fn align_jointly(
             }
         }
         for k in 1..n {
-            odometry_term(scans, k, &poses).add_to(&mut system, k - 1, k, &poses);
+            if let Some(noise) = &scans.noise[k] {
+                odometry_term(scans, k, noise, &poses).add_to(&mut system, k - 1, k, &poses);
+            }
         }
         for k in 0..n {
-            let hold = if k == 0 { ANCHOR } else { DAMPING };
+            let hold = if scans.is_held[k] { ANCHOR } else { DAMPING };
             system.add(k, k, &Matrix3::from_diagonal_element(hold));
         }
         let Some(step) = system.solve(0.0) else { break };
-        for (pose, step) in poses.iter_mut().zip(step) {
+        for (k, (pose, step)) in poses.iter_mut().zip(step).enumerate() {
+            if scans.is_held[k] {
+                continue;
+            }
             let most = if iteration == 0 { MAX_FIRST_STEP } else { f64::INFINITY };
             let step = step.map(|v| v.clamp(-most, most));
             pose.x_m += step[0];
@@ -274,8 +288,7 @@ fn pair_term(source: &Points, target: &Target, target_from_source: &Pose2, gates
 }
 
 /// The difference of a step from that of the odometry.
-fn odometry_term(scans: &JointScans<'_>, k: usize, poses: &[Pose2]) -> Term {
-    let noise = &scans.noise[k];
+fn odometry_term(scans: &JointScans<'_>, k: usize, noise: &OdometryNoise, poses: &[Pose2]) -> Term {
     let step_m = (scans.path_m[k] - scans.path_m[k - 1]).max(MIN_STEP_M);
     let (std_m, std_rad) = (noise.std_m_over(step_m), noise.std_rad_over(step_m));
     let weights = Vector3::new(std_m, std_m, std_rad).map(|std| 1.0 / (std * std));

@@ -64,7 +64,9 @@ mod uncertainty;
 
 pub use align::{AlignOptions, Alignment, NEAR_M, Prior, Weakness, align, near_share};
 pub use correlate::{BestPose, BlurredMap, Preference, Window, search};
-pub use drive::{Drive, OdometryScan, RegisterOptions, Registered, points_of, register_drive};
+pub use drive::{
+    Drive, NEW_DRIVE_M, OdometryScan, RegisterOptions, Registered, points_of, register_drive,
+};
 pub use joint::{JointOptions, JointScans, align_jointly, pairs_along_path, relative_derivatives};
 pub use matcher::{Matched, MatcherOptions, ScanMatcher, is_decided};
 pub use node::{Fit, Node, NodeMember, fit, fit_options, places};
