@@ -9,7 +9,7 @@ use register::{
     search,
 };
 
-use crate::places::Place;
+use crate::places::{Place, Places};
 
 /// Places up to this far apart are compared \[m\].
 pub(crate) const REACH_M: f64 = 4.0;
@@ -28,6 +28,9 @@ const MAX_OTHER_ENDS: usize = 1;
 /// Two starts lead to the same pose if the results are closer than this.
 const SAME_M: f64 = 0.1;
 const SAME_DEG: f64 = 1.0;
+
+/// Pairs that are compared at once. Their places are in memory.
+const PAIRS_AT_ONCE: usize = 64;
 
 /// Two places, and the relative pose that the optimized poses predict.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -123,12 +126,17 @@ pub(crate) struct Limit {
 
 /// Compares places around their predicted relative poses. The results have the order of the
 /// predictions.
-pub(crate) fn compare(places: &[Place], predictions: &[Prediction]) -> Vec<Compared> {
-    predictions.par_iter().map(|prediction| compare_pair(places, prediction)).collect()
+pub(crate) fn compare(places: &Places<'_>, predictions: &[Prediction]) -> Vec<Compared> {
+    let of_block = |block: &[Prediction]| {
+        let near = places.get(&block.iter().flat_map(|p| [p.reference, p.query]).collect());
+        let compared =
+            block.par_iter().map(|p| compare_pair(&near[&p.reference], &near[&p.query], p));
+        compared.collect::<Vec<_>>()
+    };
+    predictions.chunks(PAIRS_AT_ONCE).flat_map(of_block).collect()
 }
 
-fn compare_pair(places: &[Place], prediction: &Prediction) -> Compared {
-    let (a, b) = (&places[prediction.reference], &places[prediction.query]);
+fn compare_pair(a: &Place, b: &Place, prediction: &Prediction) -> Compared {
     let expected = prediction.reference_from_query;
     let window = Window {
         centre: expected,

@@ -1,6 +1,8 @@
 //! The vertices of the pose graph: places along a drive, with their submaps.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use dataset::Pose2;
 use model::Drift;
@@ -9,31 +11,70 @@ use register::{BlurredMap, Drive, Node, SubmapOptions};
 
 use crate::graph::Edge;
 
+/// A place joins the scans up to this far along the path before and after it \[m\].
+const HALF_M: f64 = 5.0;
 /// A square of the blurred walls of a node \[m\], and their standard deviation \[m\].
 const MAP_SQUARE_M: f64 = 0.1;
 const MAP_BLUR_M: f64 = 0.15;
 
-/// A place with what comparisons with other places need.
+/// What comparisons with other places need.
 pub(crate) struct Place {
-    pub(crate) path_m: f64,
     pub(crate) node: Node,
     pub(crate) walls: BlurredMap,
 }
 
-/// Joins the scans around each of `scans`. Each submap is rigid, with the poses `poses`.
-pub(crate) fn make_places(
-    drive: &Drive<'_>,
-    poses: &[Pose2],
-    scans: &[usize],
-    half_m: f64,
-) -> Vec<Place> {
-    let options = SubmapOptions::default();
-    let place = |&scan: &usize| {
-        let node = Node::around(drive, poses, scan, half_m, &options);
+/// The most places that are kept. Each needs about 1 MB.
+const MAX_KEPT: usize = 256;
+
+/// Places along drives. Each joins the scans around it, rigidly.
+pub(crate) struct Places<'a> {
+    drive: &'a Drive<'a>,
+    /// The poses of all scans.
+    poses: Vec<Pose2>,
+    /// The scan of each place, ascending.
+    pub(crate) scans: Vec<usize>,
+    /// Path length at each place \[m\].
+    pub(crate) path_m: Vec<f64>,
+    /// Places are made when they are compared, because those of a long drive do not fit into the memory.
+    kept: Mutex<BTreeMap<usize, Arc<Place>>>,
+}
+
+impl<'a> Places<'a> {
+    pub(crate) fn new(drive: &'a Drive<'a>, poses: &[Pose2], scans: Vec<usize>) -> Self {
+        let path_m = scans.iter().map(|&scan| drive.path_m[scan]).collect();
+        Self { drive, poses: poses.to_vec(), scans, path_m, kept: Mutex::default() }
+    }
+
+    /// Number of places.
+    pub(crate) fn n(&self) -> usize {
+        self.scans.len()
+    }
+
+    /// The place of a scan.
+    pub(crate) fn of_scan(&self, scan: usize) -> Option<usize> {
+        self.scans.binary_search(&scan).ok()
+    }
+
+    /// Some of the places.
+    pub(crate) fn get(&self, wanted: &BTreeSet<usize>) -> BTreeMap<usize, Arc<Place>> {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        let missing: Vec<usize> =
+            wanted.iter().filter(|place| !kept.contains_key(place)).copied().collect();
+        if MAX_KEPT < kept.len() + missing.len() {
+            kept.retain(|place, _| wanted.contains(place));
+        }
+        let made: Vec<Arc<Place>> =
+            missing.par_iter().map(|&place| Arc::new(self.make(place))).collect();
+        kept.extend(missing.into_iter().zip(made));
+        wanted.iter().filter_map(|place| Some((*place, kept.get(place)?.clone()))).collect()
+    }
+
+    fn make(&self, place: usize) -> Place {
+        let options = SubmapOptions::default();
+        let node = Node::around(self.drive, &self.poses, self.scans[place], HALF_M, &options);
         let walls = BlurredMap::new(node.target().points(), MAP_SQUARE_M, MAP_BLUR_M);
-        Place { path_m: drive.path_m[scan], node, walls }
-    };
-    scans.par_iter().map(place).collect()
+        Place { node, walls }
+    }
 }
 
 /// Path that counts for the drift between two places at least \[m\].

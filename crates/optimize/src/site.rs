@@ -20,10 +20,10 @@ use register::{Drive, places as places_along};
 use crate::gnc::reject_false_closures;
 use crate::graph::Edge;
 use crate::guided::{Limit, predictions};
-use crate::places::{Place, carry, chain, make_places};
+use crate::places::{Places, carry, chain};
 use crate::solve::{
-    HALF_M, PLACE_STEP_M, add_compared, align_all, compare_keyframes, graph_of, is_offered,
-    mark_unsupported,
+    ComparedKeyframes, PLACE_STEP_M, add_compared, align_all, compare_keyframes, graph_of,
+    is_offered, mark_unsupported,
 };
 use crate::support::{Graph, Link, Outcome, is_close};
 use crate::{Closure, Proposal, Reason, Solution};
@@ -67,8 +67,8 @@ pub struct Site {
     pub joins: Vec<Join>,
 }
 
-/// Each place is compared with at most so many places of the other map, one per piece of path.
-const PLACE_LIMIT: Limit = Limit { most: 3, every_m: 2.5 };
+/// Each place is compared with the nearest place of the other map.
+const PLACE_LIMIT: Limit = Limit { most: 1, every_m: 2.5 };
 /// Path over which the drift of a map counts at most \[m\]. Closures within a map end it sooner.
 const MAX_DRIFT_M: f64 = 100.0;
 /// Squared error in standard deviations up to which two candidates agree on a relative pose: three of
@@ -132,15 +132,15 @@ struct Joiner<'a> {
     first_new: usize,
     /// Poses of all scans, each in the frame of its map.
     poses: Vec<Pose2>,
-    /// The scan of each place.
-    scans: Vec<usize>,
-    places: Vec<Place>,
+    places: Places<'a>,
     maps: Vec<Vec<usize>>,
     joins: Vec<Join>,
     /// Why each proposal is not accepted.
     reasons: Vec<Reason>,
     /// Pairs of scans that closures join: reference and query.
     joined: Vec<[usize; 2]>,
+    /// Keyframes that were compared between maps.
+    compared: Vec<ComparedKeyframes>,
 }
 
 /// The relative pose of two maps, and what supports it.
@@ -197,13 +197,13 @@ impl<'a> Joiner<'a> {
             detector,
             part_of: (0..poses.len()).map(|scan| drive.part_of(scan)).collect(),
             first_new: known.maps.iter().flatten().max().map_or(0, |last| last + 1),
-            places: make_places(drive, &poses, &scans, HALF_M),
+            places: Places::new(drive, &poses, scans),
             poses,
-            scans,
             maps: known.maps.clone(),
             joins: Vec::new(),
             reasons: proposals.iter().map(reason).collect(),
             joined,
+            compared: Vec::new(),
         }
     }
 
@@ -249,10 +249,13 @@ impl<'a> Joiner<'a> {
             return false;
         }
         let hypotheses = self.hypotheses(&links);
-        let attachments: Vec<Option<Attachment>> =
+        let mut attachments: Vec<Option<Attachment>> =
             hypotheses.iter().map(|h| self.attach(pair, &links, h, &h.agrees)).collect();
-        let outcome = match self.best(pair, &hypotheses, &attachments) {
-            Ok(best) => self.settle(pair, &indices, &links, &hypotheses[best]),
+        let outcome = match self.best(pair, &attachments) {
+            Ok(best) => {
+                let first = attachments[best].take();
+                self.settle(pair, &indices, &links, &hypotheses[best], first)
+            }
             Err(outcome) => outcome,
         };
         if !matches!(outcome, JoinOutcome::Joined { .. }) {
@@ -280,8 +283,7 @@ impl<'a> Joiner<'a> {
                 } else {
                     return None;
                 };
-            let [reference, query] =
-                [reference, query].map(|scan| self.scans.partition_point(|&place| place < scan));
+            let (reference, query) = (self.places.of_scan(reference)?, self.places.of_scan(query)?);
             Some((index, Link { reference, query, reference_from_query }))
         };
         let mut links: Vec<(usize, Link)> =
@@ -332,7 +334,7 @@ impl<'a> Joiner<'a> {
     }
 
     fn pose_of(&self, place: usize) -> Pose2 {
-        self.poses[self.scans[place]]
+        self.poses[self.places.scans[place]]
     }
 
     /// Whether a link agrees with the relative pose of the maps that another link gives. The maps may have
@@ -340,7 +342,7 @@ impl<'a> Joiner<'a> {
     fn agrees(&self, a_from_b: &Pose2, from: &Link, link: &Link) -> bool {
         let expected = self.pose_of(link.reference) * link.reference_from_query;
         let found = *a_from_b * self.pose_of(link.query);
-        let path_m = |a: usize, b: usize| (self.places[a].path_m - self.places[b].path_m).abs();
+        let path_m = |a: usize, b: usize| (self.places.path_m[a] - self.places.path_m[b]).abs();
         let path_m = (path_m(from.reference, link.reference) + path_m(from.query, link.query))
             .min(MAX_DRIFT_M);
         let (noise, drift) = (&self.detector.closure, &self.detector.drift);
@@ -365,14 +367,15 @@ impl<'a> Joiner<'a> {
         hypothesis: &Hypothesis,
         offered: &[bool],
     ) -> Option<Attachment> {
-        let is_in = |map: &[usize], place: usize| map.contains(&self.part_of[self.scans[place]]);
-        let moved: Vec<usize> = (0..self.places.len()).filter(|&p| is_in(pair.b, p)).collect();
+        let is_in =
+            |map: &[usize], place: usize| map.contains(&self.part_of[self.places.scans[place]]);
+        let moved: Vec<usize> = (0..self.places.n()).filter(|&p| is_in(pair.b, p)).collect();
         // Vertex 0 is the frame of the first map, the others are the places of the second one.
         let vertex_of = |place: usize| moved.partition_point(|&other| other < place) + 1;
         let trusted = self.trusted(&moved);
         let mut start = vec![Pose2::default()];
         start.extend(moved.iter().map(|&place| hypothesis.a_from_b * self.pose_of(place)));
-        let at_rest: Vec<Pose2> = (0..self.places.len()).map(|place| self.pose_of(place)).collect();
+        let at_rest: Vec<Pose2> = (0..self.places.n()).map(|place| self.pose_of(place)).collect();
         let choose = |links: &[Link]| {
             let edge = |link: &Link| {
                 let edge = link.edge(&self.detector.closure);
@@ -387,10 +390,10 @@ impl<'a> Joiner<'a> {
             }
             (robust.is_kept, poses)
         };
-        let path_m: Vec<f64> = self.places.iter().map(|place| place.path_m).collect();
         let is_pair =
             |reference: usize, query: usize| is_in(pair.a, reference) && is_in(pair.b, query);
-        let predict = |poses: &[Pose2]| predictions(&path_m, poses, &is_pair, Some(PLACE_LIMIT));
+        let predict =
+            |poses: &[Pose2]| predictions(&self.places.path_m, poses, &is_pair, Some(PLACE_LIMIT));
         let graph = Graph { places: &self.places, choose: &choose, predict: &predict };
         let Outcome { confirmed, rounds, .. } = graph.supported(links, offered);
         let last = rounds.last()?;
@@ -404,7 +407,7 @@ impl<'a> Joiner<'a> {
     /// What is trusted within the map of these places: the shape of each drive, and the closures. Vertex 0
     /// is the frame of another map.
     fn trusted(&self, places: &[usize]) -> Vec<Edge> {
-        let scans: Vec<usize> = places.iter().map(|&place| self.scans[place]).collect();
+        let scans: Vec<usize> = places.iter().map(|&place| self.places.scans[place]).collect();
         let mut edges = chain(self.drive, &self.poses, &scans, &self.detector.drift);
         let nearest = |scan: usize| {
             let of_part = |k: &usize| self.part_of[scans[*k]] == self.part_of[scan];
@@ -435,12 +438,10 @@ impl<'a> Joiner<'a> {
     fn best(
         &self,
         pair: &Pair<'_>,
-        hypotheses: &[Hypothesis],
         attachments: &[Option<Attachment>],
     ) -> Result<usize, JoinOutcome> {
-        debug_assert_eq!(hypotheses.len(), attachments.len());
         let n_confirmed = |k: usize| attachments[k].as_ref().map_or(0, |found| found.n_confirmed);
-        let mut order: Vec<usize> = (0..hypotheses.len()).collect();
+        let mut order: Vec<usize> = (0..attachments.len()).collect();
         order.sort_by_key(|&k| (std::cmp::Reverse(n_confirmed(k)), k));
         let best = *order.first().ok_or(JoinOutcome::Unsupported)?;
         let found = attachments[best].as_ref().ok_or(JoinOutcome::Unsupported)?;
@@ -448,8 +449,8 @@ impl<'a> Joiner<'a> {
             return Err(JoinOutcome::Unsupported);
         }
         // Different starts can lead to the same poses.
-        let in_b: Vec<usize> = (0..self.places.len())
-            .filter(|&place| pair.b.contains(&self.part_of[self.scans[place]]))
+        let in_b: Vec<usize> = (0..self.places.n())
+            .filter(|&place| pair.b.contains(&self.part_of[self.places.scans[place]]))
             .collect();
         let is_other = |k: &&usize| {
             attachments[**k].as_ref().is_some_and(|other| {
@@ -472,21 +473,22 @@ impl<'a> Joiner<'a> {
         indices: &[usize],
         links: &[Link],
         hypothesis: &Hypothesis,
+        first: Option<Attachment>,
     ) -> JoinOutcome {
         let mut offered = hypothesis.agrees.clone();
+        let mut next = first;
         for _ in 0..MAX_REPEATS {
-            let Some(found) = self.attach(pair, links, hypothesis, &offered) else { break };
-            if found.n_confirmed < MIN_CONFIRMED {
+            let Some(found) = next.filter(|found| MIN_CONFIRMED <= found.n_confirmed) else {
                 break;
-            }
+            };
             let poses = self.aligned(pair, &found);
             let [in_a, in_b] = [pair.a, pair.b].map(|map| self.is_in(map));
-            let is_pair = |reference: usize, query: usize| in_a[reference] && in_b[query];
+            let is_pair = |a: usize, b: usize| a < b && (in_a[a] && in_b[b] || in_b[a] && in_a[b]);
             let mut compared = compare_keyframes(self.drive, &poses, &is_pair);
             let unsupported = mark_unsupported(&self.drive.path_m, &mut compared);
             let mut n_dropped = 0;
             for (k, link) in links.iter().enumerate() {
-                let pair_m = [link.reference, link.query].map(|p| self.places[p].path_m);
+                let pair_m = [link.reference, link.query].map(|p| self.places.path_m[p]);
                 if offered[k] && unsupported.iter().any(|other| is_close(&pair_m, other)) {
                     offered[k] = false;
                     self.reasons[indices[k]] = Reason::Unsupported;
@@ -503,9 +505,11 @@ impl<'a> Joiner<'a> {
                         .filter(|pair| pair.is_accepted())
                         .map(|p| [p.reference, p.query]),
                 );
+                self.compared.extend(compared);
                 let (n_predicted, n_confirmed) = (found.n_predicted, found.n_confirmed);
                 return JoinOutcome::Joined { n_predicted, n_confirmed };
             }
+            next = self.attach(pair, links, hypothesis, &offered);
         }
         JoinOutcome::Unsupported
     }
@@ -520,14 +524,14 @@ impl<'a> Joiner<'a> {
     fn aligned(&self, pair: &Pair<'_>, found: &Attachment) -> Vec<Pose2> {
         let [in_a, in_b] = [pair.a, pair.b].map(|map| self.is_in(map));
         let (scans, after): (Vec<usize>, Vec<Pose2>) =
-            self.scans.iter().zip(&found.poses).filter(|(scan, _)| in_b[**scan]).unzip();
+            self.places.scans.iter().zip(&found.poses).filter(|(scan, _)| in_b[**scan]).unzip();
         let carried = carry(self.drive, &self.poses, &scans, &after);
         let is_held: Vec<bool> = in_b.iter().map(|moves| !moves).collect();
         let is_in_map = |scan: usize| in_a[scan] || in_b[scan];
         align_all(self.drive, &carried, &is_in_map, &is_held, self.detector)
     }
 
-    /// Aligns each new map of several drives as a whole, and compares its keyframes between drives.
+    /// Aligns each new map of several drives as a whole.
     fn finish(mut self) -> Site {
         for map in self.maps.iter().filter(|map| 1 < map.len() && self.first_new <= map[0]) {
             let in_map = self.is_in(map);
@@ -537,16 +541,6 @@ impl<'a> Joiner<'a> {
             self.poses =
                 align_all(self.drive, &self.poses, &|scan| in_map[scan], &is_held, self.detector);
         }
-        let mut map_of_part = vec![0; self.solutions.len()];
-        for (map, parts) in self.maps.iter().enumerate() {
-            parts.iter().for_each(|&part| map_of_part[part] = map);
-        }
-        let is_pair = |reference: usize, query: usize| {
-            let [a, b] = [reference, query].map(|scan| self.part_of[scan]);
-            a < b && self.first_new <= b && map_of_part[a] == map_of_part[b]
-        };
-        let mut compared = compare_keyframes(self.drive, &self.poses, &is_pair);
-        mark_unsupported(&self.drive.path_m, &mut compared);
         let mut closures: BTreeMap<(usize, usize), Closure> = BTreeMap::new();
         for (solution, &start) in self.solutions.iter().zip(&self.drive.starts) {
             for Closure { proposal, rejected } in &solution.closures {
@@ -559,7 +553,7 @@ impl<'a> Joiner<'a> {
             let closure = Closure { proposal: *proposal, rejected: Some(reason) };
             closures.insert((proposal.query, proposal.reference), closure);
         }
-        add_compared(&mut closures, &compared, self.detector);
+        add_compared(&mut closures, &self.compared, self.detector);
         let closures: Vec<Closure> = closures.into_values().collect();
         let accepted = closures.iter().filter(|closure| closure.rejected.is_none());
         let accepted: Vec<Proposal> =

@@ -10,7 +10,7 @@ use register::{Drive, JointOptions, pairs_along_path, places as places_along};
 use crate::gnc::reject_false_closures;
 use crate::graph::{Edge, covariances};
 use crate::guided::{Compared, Limit, NearPoses, compare, covariance, predictions};
-use crate::places::{carry, chain, make_places};
+use crate::places::{Places, carry, chain};
 use crate::support::{Graph, Link, groups, is_close};
 use crate::{Closure, Proposal, Reason, Solution};
 
@@ -24,8 +24,6 @@ pub(crate) fn is_offered(proposal: &Proposal, detector: &Detector) -> bool {
 
 /// Path between two places of the pose graph \[m\].
 pub(crate) const PLACE_STEP_M: f64 = 2.5;
-/// A submap holds the scans up to this far along the path before and after its place \[m\].
-pub(crate) const HALF_M: f64 = 5.0;
 /// Each keyframe is compared with at most so many references, one per piece of path.
 const KEYFRAME_LIMIT: Limit = Limit { most: 3, every_m: 1.5 };
 
@@ -52,21 +50,21 @@ pub fn close_loops(
     scans.extend(proposals.iter().flat_map(|proposal| [proposal.query, proposal.reference]));
     scans.sort_unstable();
     scans.dedup();
+    let places = Places::new(drive, &drive.poses, scans);
     let (offered, links): (Vec<usize>, Vec<Link>) = proposals
         .iter()
         .enumerate()
         .filter(|(_, proposal)| is_offered(proposal, detector))
-        .filter_map(|(k, proposal)| Some((k, Link::of_proposal(proposal, &scans)?)))
+        .filter_map(|(k, proposal)| Some((k, Link::of_proposal(proposal, &places)?)))
         .unzip();
     let mut reasons: Vec<Option<Reason>> = vec![Some(Reason::LowConfidence); proposals.len()];
     offered.iter().for_each(|&k| reasons[k] = Some(Reason::Inconsistent));
     if links.is_empty() {
         return unclosed(drive, proposals, &reasons, detector, Vec::new());
     }
-    let places = make_places(drive, &drive.poses, &scans, HALF_M);
-    let odometry = chain(drive, &drive.poses, &scans, &detector.drift);
-    let start: Vec<Pose2> = scans.iter().map(|&scan| drive.poses[scan]).collect();
-    let path_m: Vec<f64> = places.iter().map(|place| place.path_m).collect();
+    let odometry = chain(drive, &drive.poses, &places.scans, &detector.drift);
+    let start: Vec<Pose2> = places.scans.iter().map(|&scan| drive.poses[scan]).collect();
+    let path_m = &places.path_m;
     let is_pair = |reference: usize, query: usize| min_path_m <= path_m[query] - path_m[reference];
     let graph = Graph {
         places: &places,
@@ -75,7 +73,7 @@ pub fn close_loops(
             let robust = reject_false_closures(&odometry, &closures, &start);
             (robust.is_kept, robust.poses)
         },
-        predict: &|poses| predictions(&path_m, poses, &is_pair, None),
+        predict: &|poses| predictions(path_m, poses, &is_pair, None),
     };
     let mut is_offered = vec![true; links.len()];
     let mut rounds = Vec::new();
@@ -94,7 +92,7 @@ pub fn close_loops(
         let Some(confirmed) = outcome.confirmed else {
             return unclosed(drive, proposals, &reasons, detector, rounds);
         };
-        let poses = carry(drive, &drive.poses, &scans, &confirmed);
+        let poses = carry(drive, &drive.poses, &places.scans, &confirmed);
         let is_held: Vec<bool> = (0..poses.len()).map(|scan| scan == 0).collect();
         let poses = align_all(drive, &poses, &|_| true, &is_held, detector);
         let is_pair = |reference: usize, query: usize| {
@@ -104,7 +102,7 @@ pub fn close_loops(
         let unsupported = mark_unsupported(&drive.path_m, &mut compared);
         let mut n_dropped = 0;
         for (position, link) in links.iter().enumerate() {
-            let pair_m = [link.reference, link.query].map(|place| places[place].path_m);
+            let pair_m = [link.reference, link.query].map(|place| places.path_m[place]);
             if is_offered[position] && unsupported.iter().any(|other| is_close(&pair_m, other)) {
                 is_offered[position] = false;
                 reasons[offered[position]] = Some(Reason::Unsupported);
@@ -205,23 +203,13 @@ pub(crate) fn compare_keyframes(
     let keyframe_poses: Vec<Pose2> = keyframes.iter().map(|&k| poses[k]).collect();
     let path_m: Vec<f64> = keyframes.iter().map(|&k| drive.path_m[k]).collect();
     let is_pair = |a: usize, b: usize| is_pair(keyframes[a], keyframes[b]);
-    let mut predicted = predictions(&path_m, &keyframe_poses, &is_pair, Some(KEYFRAME_LIMIT));
-    // Only keyframes that are compared need a submap.
-    let mut used: Vec<usize> = predicted.iter().flat_map(|p| [p.reference, p.query]).collect();
-    used.sort_unstable();
-    used.dedup();
-    for prediction in &mut predicted {
-        for index in [&mut prediction.reference, &mut prediction.query] {
-            *index = used.partition_point(|&k| k < *index);
-        }
-    }
-    let scans: Vec<usize> = used.iter().map(|&k| keyframes[k]).collect();
-    let places = make_places(drive, poses, &scans, HALF_M);
+    let predicted = predictions(&path_m, &keyframe_poses, &is_pair, Some(KEYFRAME_LIMIT));
+    let places = Places::new(drive, poses, keyframes);
     compare(&places, &predicted)
         .into_iter()
         .map(|compared| ComparedKeyframes {
-            reference: scans[compared.reference],
-            query: scans[compared.query],
+            reference: places.scans[compared.reference],
+            query: places.scans[compared.query],
             compared,
             is_supported: true,
         })

@@ -5,7 +5,7 @@ use model::ClosureNoise;
 
 use crate::graph::Edge;
 use crate::guided::{Compared, NearPoses, Prediction, compare};
-use crate::places::Place;
+use crate::places::Places;
 use crate::{Proposal, Round};
 
 /// Two closures belong to the same group if both of their places are this close along the path \[m\].
@@ -27,7 +27,7 @@ const MAX_LAST_ROUNDS: usize = 4;
 
 /// What the search for consistent closures needs.
 pub(crate) struct Graph<'a> {
-    pub(crate) places: &'a [Place],
+    pub(crate) places: &'a Places<'a>,
     /// Chooses the links that agree with each other and with what is trusted. Returns for each link whether
     /// it is kept, and the poses of the places.
     pub(crate) choose: &'a dyn Fn(&[Link]) -> (Vec<bool>, Vec<Pose2>),
@@ -112,7 +112,7 @@ impl Graph<'_> {
 
     /// The group of each link: links whose places are close along the path, directly or through others.
     fn groups(&self, links: &[Link]) -> Vec<usize> {
-        let path_m = |place: usize| self.places[place].path_m;
+        let path_m = |place: usize| self.places.path_m[place];
         let pairs: Vec<[f64; 2]> =
             links.iter().map(|link| [path_m(link.reference), path_m(link.query)]).collect();
         groups(&pairs)
@@ -129,7 +129,7 @@ impl Graph<'_> {
         let n_groups = groups.iter().max().map_or(0, |max| max + 1);
         let mut n_near = vec![0usize; n_groups];
         let mut n_near_confirmed = vec![0usize; n_groups];
-        let path_m = |place: usize| self.places[place].path_m;
+        let path_m = |place: usize| self.places.path_m[place];
         for pair in compared.iter().filter(|pair| MIN_KNOWN <= pair.fit.known) {
             let mut of_pair: Vec<usize> = links
                 .iter()
@@ -242,10 +242,10 @@ impl Link {
     }
 
     /// A proposal as a link, where both of its scans are places.
-    pub(crate) fn of_proposal(proposal: &Proposal, scans: &[usize]) -> Option<Self> {
+    pub(crate) fn of_proposal(proposal: &Proposal, places: &Places<'_>) -> Option<Self> {
         Some(Self {
-            reference: scans.binary_search(&proposal.reference).ok()?,
-            query: scans.binary_search(&proposal.query).ok()?,
+            reference: places.of_scan(proposal.reference)?,
+            query: places.of_scan(proposal.query)?,
             reference_from_query: proposal.reference_from_query,
         })
     }
