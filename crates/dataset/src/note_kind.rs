@@ -307,7 +307,7 @@ codes! {
             n_segments: u64,
             /// Least path between the two scans of a closure \[m\].
             min_path_m: f64,
-        } => "{} shorter than {min_path_m} m (`detect.min_path_m`): no closure is possible there, and closures between two segments are not searched", count(*n_segments, "segment");
+        } => "{} shorter than {min_path_m} m (`detect.min_path_m`): no closure within it is possible there", count(*n_segments, "segment");
         /// Scans match the scans before them poorly.
         Warning "poor_scan_matching" PoorScanMatching {
             /// Stretches of path.
@@ -354,6 +354,22 @@ codes! {
             /// Closures.
             n_closures: u64,
         } => "{} rejected, because the scans confirm too few of the places that they predict to be the same (`unsupported` in closures.parquet)", count(*n_closures, "closure");
+        /// Logs of one site are in different maps.
+        Warning "separate_maps" SeparateMaps {
+            /// The site.
+            site: String,
+            /// The logs of each map, separated by `|`.
+            maps: String,
+        } => "site `{site}`: its logs are in separate maps: {maps}; the scans do not show places that they share";
+        /// Logs fit onto others in two ways.
+        Warning "ambiguous_maps" AmbiguousMaps {
+            /// The site.
+            site: String,
+            /// The logs that were not joined.
+            logs: String,
+            /// Those that they were not joined with.
+            others: String,
+        } => "site `{site}`: {logs} fit onto {others} in two different ways, nearly equally well, and were not joined: the buildings or corridors look alike";
 
         /// A part of the detector was not fitted.
         Warning "detector_part_not_fitted" DetectorPartNotFitted {

@@ -3,7 +3,7 @@
 use dataset::{Label, Losses, Note, Retrieval};
 use serde_json::{Value, json};
 
-use crate::detection::DriveMeasures;
+use crate::detection::{DriveMeasures, SiteMeasures};
 use crate::text::{PAPER_ERROR_BELOW, PAPER_ROUNDS};
 use crate::{Evaluation, Input};
 
@@ -52,6 +52,7 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
         })).collect::<Vec<_>>(),
         "grid": grid.collect::<Vec<_>>(),
         "detection": evaluation.detection,
+        "sites": evaluation.sites,
         "losses": input.losses,
         "notes": input.notes,
         "paper": { "learners": ["discrete", "gentle"], "rounds": PAPER_ROUNDS, "error_below": PAPER_ERROR_BELOW },
@@ -62,10 +63,11 @@ pub fn json(name: &str, input: &Input<'_>, evaluation: &Evaluation) -> Value {
 pub fn closure_json(
     name: &str,
     measures: &[DriveMeasures],
+    sites: &[SiteMeasures],
     losses: &Losses,
     notes: &[Note],
 ) -> Value {
-    json!({ "name": name, "detection": measures, "losses": losses, "notes": notes })
+    json!({ "name": name, "detection": measures, "sites": sites, "losses": losses, "notes": notes })
 }
 
 fn retrieval(row: &Retrieval) -> Value {

@@ -96,6 +96,8 @@ pub struct Input<'a> {
     pub notes: &'a [Note],
     /// The drives whose loop closures were searched; empty if none were.
     pub detection: &'a [detection::Drive<'a>],
+    /// The sites with several drives.
+    pub sites: &'a [detection::SiteDrives],
 }
 
 impl Input<'_> {
@@ -167,6 +169,8 @@ pub struct Evaluation {
     pub mistakes: Vec<Mistake>,
     /// The measures of the loop closures of each drive.
     pub detection: Vec<detection::DriveMeasures>,
+    /// The measures of each site with several drives.
+    pub sites: Vec<detection::SiteMeasures>,
 }
 
 impl Evaluation {
@@ -212,6 +216,9 @@ pub fn evaluate(input: &Input<'_>) -> Evaluation {
         spreads: spread::spreads(input),
         summaries: bootstrap::summaries(&labels, input.scores, input.resamples, input.seed),
         detection: input.detection.iter().map(detection::measure).collect(),
+        sites: (input.sites.iter())
+            .map(|site| detection::measure_site(site, input.detection))
+            .collect(),
         ..Evaluation::default()
     };
     for scores in input.scores {

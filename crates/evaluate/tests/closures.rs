@@ -139,6 +139,7 @@ fn report(made: &Made, has_truth: bool) -> String {
     let figures = closure_figures(&drives, &measures, &sketches);
     let losses = Losses::default();
     let report = ClosureReport {
+        sites: &[],
         keyframes: &[],
         drives: &drives,
         measures: &measures,

@@ -2,19 +2,21 @@
 
 use std::collections::HashMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::Result;
 use dataset::tables::scans::{read_scan_headers, read_scans};
 use dataset::tables::{TableError, read_poses, read_registered};
-use dataset::{RangeLimits, RegisteredScan, Scan, ScanClosure, StampedPose};
+use dataset::{RangeLimits, RegisteredScan, Scan, ScanClosure, ScanId, StampedPose};
 use model::Evidence;
 use nalgebra::Matrix3;
 use optimize::Proposal;
 use register::{Drive, is_decided};
 
 use crate::config::Config;
+use crate::logs::LogFile;
 use crate::run::Run;
-use crate::stage::Artifact;
+use crate::stage::{Artifact, sites};
 
 /// The points of a closure do not determine the position if the ratio of the smallest to the largest
 /// information is less than this. A bare corridor has 0 to 0.05, a room 0.5 and more.
@@ -43,6 +45,11 @@ impl RegisteredDrive {
         )
     }
 
+    /// The log.
+    pub(crate) fn log(&self) -> Option<&Arc<str>> {
+        self.rows.first().map(|row| &row.id.log)
+    }
+
     /// Number of the continuous piece of the log.
     pub(crate) fn segment(&self) -> u32 {
         self.rows.first().map_or(0, |row| row.segment)
@@ -62,6 +69,47 @@ pub(crate) fn registered_drives(run: &Run, log: &str) -> Result<Vec<RegisteredDr
         limits,
     };
     Ok(drives.map(of_rows).collect())
+}
+
+/// The drives of a site, which may share places: the segments of its logs.
+pub(crate) struct SiteDrives {
+    /// Name of the site.
+    pub(crate) site: String,
+    pub(crate) logs: Vec<LogFile>,
+    /// In the order of the logs.
+    pub(crate) drives: Vec<RegisteredDrive>,
+}
+
+/// The sites of the run, each with its logs, in the order of their first logs.
+pub(crate) fn logs_of_sites(run: &Run) -> Result<Vec<(String, Vec<LogFile>)>> {
+    let logs = run.ingested_logs()?;
+    let names: Vec<&str> = logs.iter().map(|log| &*log.name).collect();
+    let site_of = sites(&run.config, &names)?;
+    let mut of_sites: Vec<(String, Vec<LogFile>)> = Vec::new();
+    for log in logs {
+        let site = &site_of[&*log.name];
+        match of_sites.iter_mut().find(|(name, _)| name == site) {
+            Some((_, logs)) => logs.push(log),
+            None => of_sites.push((site.clone(), vec![log])),
+        }
+    }
+    Ok(of_sites)
+}
+
+impl SiteDrives {
+    /// Reads the registered scans of the logs of a site.
+    pub(crate) fn read(run: &Run, site: String, logs: Vec<LogFile>) -> Result<Self> {
+        let mut drives = Vec::new();
+        for log in &logs {
+            drives.extend(registered_drives(run, &log.name)?);
+        }
+        Ok(Self { site, logs, drives })
+    }
+
+    /// The rows of all drives, in the order of [`Drive::joined`].
+    pub(crate) fn rows(&self) -> Vec<RegisteredScan> {
+        self.drives.iter().flat_map(|drive| drive.rows.iter().cloned()).collect()
+    }
 }
 
 /// The scans with these numbers, which need not be sorted.
@@ -149,9 +197,9 @@ pub(crate) fn evidence(closure: &ScanClosure) -> Evidence {
     }
 }
 
-/// The rows of registered scans by scan number.
-pub(crate) fn by_scan(rows: &[RegisteredScan]) -> HashMap<u32, usize> {
-    rows.iter().map(|row| row.id.scan).zip(0..).collect()
+/// The positions of registered scans.
+pub(crate) fn by_id(rows: &[RegisteredScan]) -> HashMap<&ScanId, usize> {
+    rows.iter().map(|row| &row.id).zip(0..).collect()
 }
 
 /// The upper triangle of a covariance, row by row.

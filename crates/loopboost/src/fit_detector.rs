@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::{read_candidates, read_poses, read_registered};
-use dataset::{CandidateClosure, Note, NoteKind, ScanId};
+use dataset::{CandidateClosure, Note, NoteKind, ScanClosure, ScanId};
 use experiment::{CrossValidation, Data, Setup, held_out_confidences};
 use model::{DetectorPart, Model};
 use train::Learner;
@@ -61,8 +61,10 @@ fn evidence_of_logs(run: &Run, data: &Data<'_>) -> Result<Vec<Log>> {
         data.keyframes.iter().map(|keyframe| &keyframe.id).zip(0..).collect();
     let mut logs = Vec::new();
     for log in run.ingested_logs()? {
+        // Logs of one site may have ground truth in different frames.
+        let is_of_log = |c: &ScanClosure| c.query.log == log.name && c.reference.log == log.name;
         let of_log: Vec<CandidateClosure> =
-            candidates.iter().filter(|c| *c.closure.query.log == *log.name).cloned().collect();
+            candidates.iter().filter(|c| is_of_log(&c.closure)).cloned().collect();
         let pair = |found: &CandidateClosure| {
             let ids = [&found.closure.query, &found.closure.reference];
             let [query, reference] = ids.map(|id| keyframes.get(id).copied());

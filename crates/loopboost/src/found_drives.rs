@@ -12,10 +12,11 @@ use dataset::{
     Trajectory,
 };
 use evaluate::detection::{
-    Drive, Evidence, FoundCandidate, FoundClosure, KeyframePoses, ScanPoses,
+    ClosureBetween, Drive, DriveKeyframe, Evidence, FoundCandidate, FoundClosure, KeyframePoses,
+    ScanPoses, SiteDrives,
 };
 
-use crate::drives::{PosedScan, posed_scans};
+use crate::drives::{PosedScan, logs_of_sites, posed_scans};
 use crate::logs::LogFile;
 use crate::run::Run;
 use crate::stage::{Artifact, Stage};
@@ -24,7 +25,11 @@ use crate::stage::{Artifact, Stage};
 pub(crate) struct FoundDrive {
     log: Arc<str>,
     segment: u32,
+    /// Number of its map.
+    map: u32,
     keyframes: Vec<KeyframePoses>,
+    /// The index of each keyframe.
+    ids: HashMap<ScanId, usize>,
     scans: Vec<ScanPoses>,
     candidates: Vec<FoundCandidate>,
     /// Each closure with the indices of its keyframes, the query first.
@@ -40,8 +45,8 @@ struct Shared {
 }
 
 impl FoundDrive {
-    /// The drives of all logs.
-    pub(crate) fn load_all(run: &Run) -> Result<Vec<Self>> {
+    /// The drives of all logs, and the sites with several drives.
+    pub(crate) fn load_all(run: &Run) -> Result<(Vec<Self>, Vec<SiteDrives>)> {
         let shared = Shared {
             candidates: read_candidates(&run.path_of(Artifact::Candidates))?.0,
             closures: read_closures(&run.path_of(Artifact::Closures))?.0,
@@ -51,7 +56,8 @@ impl FoundDrive {
         for log in run.ingested_logs()? {
             drives.extend(Self::of_log(run, &log, &shared)?);
         }
-        Ok(drives)
+        let sites = sites_of(run, &drives, &shared.closures)?;
+        Ok((drives, sites))
     }
 
     fn of_log(run: &Run, log: &LogFile, shared: &Shared) -> Result<Vec<Self>> {
@@ -70,6 +76,8 @@ impl FoundDrive {
                 let segment = rows[0].segment;
                 let posed = posed.iter().find(|scans| scans[0].odometry.segment == segment);
                 let (keyframes, ids) = keyframes(rows, &shared.keyframes);
+                let map_of = |k: &&MapPose| ids.contains_key(&k.id);
+                let map = shared.keyframes.iter().find(map_of).map_or(0, |k| k.map);
                 let index = |closure: &ScanClosure| -> Option<[usize; 2]> {
                     Some([*ids.get(&closure.query)?, *ids.get(&closure.reference)?])
                 };
@@ -83,11 +91,13 @@ impl FoundDrive {
                 Ok(Self {
                     log: log.name.clone(),
                     segment,
+                    map,
                     scans: scans(posed.map(Vec::as_slice).unwrap_or_default(), rows, &optimized)?,
                     candidates: candidates.collect(),
                     closures: closures.collect(),
                     truth: truth.clone(),
                     keyframes,
+                    ids,
                 })
             })
             .collect()
@@ -112,6 +122,44 @@ impl FoundDrive {
             base_from_lidar: Pose2::default(),
         }
     }
+}
+
+/// The sites with several drives, and the closures between these.
+fn sites_of(
+    run: &Run,
+    drives: &[FoundDrive],
+    closures: &[JudgedClosure],
+) -> Result<Vec<SiteDrives>> {
+    let keyframe_of: HashMap<&ScanId, DriveKeyframe> = (drives.iter().enumerate())
+        .flat_map(|(drive, found)| {
+            found.ids.iter().map(move |(id, &keyframe)| (id, DriveKeyframe { drive, keyframe }))
+        })
+        .collect();
+    let mut sites = Vec::new();
+    for (site, logs) in logs_of_sites(run)? {
+        let is_of_site =
+            |(_, found): &(usize, &FoundDrive)| logs.iter().any(|log| log.name == found.log);
+        let of_site = drives.iter().enumerate().filter(is_of_site);
+        let of_site: Vec<(usize, u32)> = of_site.map(|(k, found)| (k, found.map)).collect();
+        if of_site.len() < 2 {
+            continue;
+        }
+        let between = |judged: &JudgedClosure| {
+            let closure = &judged.closure;
+            let query = *keyframe_of.get(&closure.query)?;
+            let reference = *keyframe_of.get(&closure.reference)?;
+            let is_of_site = of_site.iter().any(|&(drive, _)| drive == query.drive);
+            (is_of_site && query.drive != reference.drive).then_some(ClosureBetween {
+                query,
+                reference,
+                reference_from_query: closure.reference_from_query,
+                is_accepted: judged.is_accepted(),
+            })
+        };
+        let closures = closures.iter().filter_map(between).collect();
+        sites.push(SiteDrives { site, drives: of_site, closures });
+    }
+    Ok(sites)
 }
 
 /// The keyframes of a drive, and the index of each.

@@ -29,8 +29,12 @@ pub(crate) enum Summary {
     Registered { log: String, n_scans: u64, n_degenerate: u64, length_m: f64 },
     /// The candidates of a log.
     Detected { log: String, n_places: u64, n_candidates: u64 },
+    /// The candidates between the drives of a site.
+    DetectedBetween { site: String, n_drives: u64, n_candidates: u64 },
     /// The closures of a log, and the number of poses of its trajectory.
     Optimized { log: String, n_accepted: u64, n_rejected: u64, n_poses: u64 },
+    /// The closures between the drives of a site, and its maps.
+    Joined { site: String, n_drives: u64, n_maps: u64, n_accepted: u64, n_rejected: u64 },
     /// The closures and the trajectory of a segment of a log, compared with the ground truth.
     Closed {
         log: String,
@@ -40,6 +44,16 @@ pub(crate) enum Summary {
         n_false: u64,
         n_judged: u64,
         ate_rmse_m: Option<f64>,
+    },
+    /// The closures between the drives of a site, compared with the ground truth, and the error of the worst
+    /// of its maps.
+    ClosedBetween {
+        site: String,
+        n_revisits: u64,
+        n_closed: u64,
+        n_false: u64,
+        n_judged: u64,
+        ate_rmse_m: f64,
     },
     /// A saved model, with its error by each grouping.
     Trained { model: String, version: String, rounds: u64, errors: Vec<GroupingError> },
@@ -102,6 +116,14 @@ impl fmt::Display for Summary {
             Self::Detected { log, n_places, n_candidates } => {
                 write!(f, "{log}: {n_candidates} candidates among {n_places} places")
             }
+            Self::DetectedBetween { site, n_drives, n_candidates } => {
+                write!(f, "site {site}: {n_candidates} candidates between {n_drives} drives")
+            }
+            Self::Joined { site, n_drives, n_maps, n_accepted, n_rejected } => write!(
+                f,
+                "site {site}: {n_drives} drives in {n_maps} {}; {n_accepted} closures between drives accepted, {n_rejected} rejected",
+                if *n_maps == 1 { "map" } else { "maps" }
+            ),
             Self::Optimized { log, n_accepted, n_rejected, n_poses } => write!(
                 f,
                 "{log}: {n_accepted} closures accepted, {n_rejected} rejected; {n_poses} poses"
@@ -119,6 +141,12 @@ impl fmt::Display for Summary {
                     Some(ate_rmse_m) => write!(f, ", trajectory error {ate_rmse_m:.3} m"),
                     None => Ok(()),
                 }
+            }
+            Self::ClosedBetween { site, n_revisits, n_closed, n_false, n_judged, ate_rmse_m } => {
+                write!(
+                    f,
+                    "site {site}: {n_closed} of {n_revisits} revisits of an earlier drive closed, {n_false} of {n_judged} closures between drives false, map error {ate_rmse_m:.3} m"
+                )
             }
             Self::Trained { model, version, rounds, errors } => {
                 let errors: Vec<String> = errors

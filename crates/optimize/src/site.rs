@@ -10,6 +10,7 @@
 //! 3. One hypothesis must be confirmed, and no other one nearly as well.
 //! 4. Keyframes of the two maps are compared. Their groups must be supported, too.
 
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use dataset::{Pose2, wrap_angle};
@@ -50,7 +51,12 @@ pub enum JoinOutcome {
         n_confirmed: usize,
     },
     /// Too few candidates agree on a relative pose, or the scans do not confirm it.
-    Unsupported,
+    Unsupported {
+        /// Pairs of places predicted to be the same by the best relative pose that was tested.
+        n_predicted: usize,
+        /// Those that their scans confirm.
+        n_confirmed: usize,
+    },
     /// The scans confirm two relative poses nearly as well.
     Ambiguous,
 }
@@ -76,8 +82,10 @@ const MAX_DRIFT_M: f64 = 100.0;
 const AGREES_CHI2: f64 = 16.0;
 /// Number of hypotheses that are tested.
 const N_HYPOTHESES: usize = 4;
-/// The least number of places whose candidates agree on a hypothesis.
+/// The least number of places whose candidates agree on a hypothesis, and their least share of those of the
+/// best hypothesis. Half as many confirmed pairs (`MAX_SECOND`) cannot be expected of fewer.
 const MIN_QUERIES: usize = 4;
+const MIN_QUERY_SHARE: f64 = 0.2;
 /// Two hypotheses are the same if the places are closer than this by both.
 const SAME_M: f64 = 2.0;
 const SAME_DEG: f64 = 8.0;
@@ -143,12 +151,19 @@ struct Joiner<'a> {
     compared: Vec<ComparedKeyframes>,
 }
 
-/// The relative pose of two maps, and what supports it.
+/// A relative pose of two maps after its test.
 struct Attachment {
-    /// The poses of all places.
-    poses: Vec<Pose2>,
+    /// The poses of all places, if the scans confirm them.
+    poses: Option<Vec<Pose2>>,
     n_predicted: usize,
     n_confirmed: usize,
+}
+
+impl Attachment {
+    /// The poses of all places, if enough pairs of them are confirmed.
+    fn confirmed(&self) -> Option<&[Pose2]> {
+        self.poses.as_deref().filter(|_| MIN_CONFIRMED <= self.n_confirmed)
+    }
 }
 
 /// A relative pose of two maps.
@@ -215,7 +230,7 @@ impl<'a> Joiner<'a> {
             // The map with the most candidates first.
             others.sort_by_cached_key(|map| {
                 let pair = Pair { a: map, b: &current };
-                (std::cmp::Reverse(self.links(&pair).len()), map[0])
+                (Reverse(self.links(&pair).len()), map[0])
             });
             for other in others {
                 let is_known = |map: &[usize]| map[0] < self.first_new;
@@ -249,11 +264,11 @@ impl<'a> Joiner<'a> {
             return false;
         }
         let hypotheses = self.hypotheses(&links);
-        let mut attachments: Vec<Option<Attachment>> =
+        let attachments: Vec<Attachment> =
             hypotheses.iter().map(|h| self.attach(pair, &links, h, &h.agrees)).collect();
         let outcome = match self.best(pair, &attachments) {
             Ok(best) => {
-                let first = attachments[best].take();
+                let first = attachments.into_iter().nth(best);
                 self.settle(pair, &indices, &links, &hypotheses[best], first)
             }
             Err(outcome) => outcome,
@@ -314,7 +329,9 @@ impl<'a> Joiner<'a> {
             .map(|(k, link)| (n_queries(&hypothesis(link)), k))
             .filter(|&(n, _)| MIN_QUERIES <= n)
             .collect();
-        counts.sort_by_key(|&(n, k)| (std::cmp::Reverse(n), k));
+        counts.sort_by_key(|&(n, k)| (Reverse(n), k));
+        let most = counts.first().map_or(0.0, |&(n, _)| n as f64);
+        counts.retain(|&(n, _)| MIN_QUERY_SHARE * most <= n as f64);
         let mut chosen: Vec<(Hypothesis, usize)> = Vec::new();
         for (_, k) in counts {
             let next = hypothesis(&links[k]);
@@ -366,7 +383,7 @@ impl<'a> Joiner<'a> {
         links: &[Link],
         hypothesis: &Hypothesis,
         offered: &[bool],
-    ) -> Option<Attachment> {
+    ) -> Attachment {
         let is_in =
             |map: &[usize], place: usize| map.contains(&self.part_of[self.places.scans[place]]);
         let moved: Vec<usize> = (0..self.places.n()).filter(|&p| is_in(pair.b, p)).collect();
@@ -396,12 +413,9 @@ impl<'a> Joiner<'a> {
             |poses: &[Pose2]| predictions(&self.places.path_m, poses, &is_pair, Some(PLACE_LIMIT));
         let graph = Graph { places: &self.places, choose: &choose, predict: &predict };
         let Outcome { confirmed, rounds, .. } = graph.supported(links, offered);
-        let last = rounds.last()?;
-        Some(Attachment {
-            poses: confirmed?,
-            n_predicted: last.n_predicted,
-            n_confirmed: last.n_confirmed,
-        })
+        let (n_predicted, n_confirmed) =
+            rounds.last().map_or((0, 0), |last| (last.n_predicted, last.n_confirmed));
+        Attachment { poses: confirmed, n_predicted, n_confirmed }
     }
 
     /// What is trusted within the map of these places: the shape of each drive, and the closures. Vertex 0
@@ -435,31 +449,28 @@ impl<'a> Joiner<'a> {
     }
 
     /// The hypothesis that the scans confirm, unless there are none or two.
-    fn best(
-        &self,
-        pair: &Pair<'_>,
-        attachments: &[Option<Attachment>],
-    ) -> Result<usize, JoinOutcome> {
-        let n_confirmed = |k: usize| attachments[k].as_ref().map_or(0, |found| found.n_confirmed);
+    fn best(&self, pair: &Pair<'_>, attachments: &[Attachment]) -> Result<usize, JoinOutcome> {
+        let n_confirmed = |k: usize| attachments[k].n_confirmed;
         let mut order: Vec<usize> = (0..attachments.len()).collect();
-        order.sort_by_key(|&k| (std::cmp::Reverse(n_confirmed(k)), k));
-        let best = *order.first().ok_or(JoinOutcome::Unsupported)?;
-        let found = attachments[best].as_ref().ok_or(JoinOutcome::Unsupported)?;
-        if found.n_confirmed < MIN_CONFIRMED {
-            return Err(JoinOutcome::Unsupported);
-        }
+        // Those that the share test accepts first.
+        order.sort_by_key(|&k| (attachments[k].poses.is_none(), Reverse(n_confirmed(k)), k));
+        let best = order.first().copied();
+        let Some((best, poses)) = best.and_then(|k| Some((k, attachments[k].confirmed()?))) else {
+            let tested = best.map_or((0, 0), |k| (attachments[k].n_predicted, n_confirmed(k)));
+            return Err(JoinOutcome::Unsupported { n_predicted: tested.0, n_confirmed: tested.1 });
+        };
         // Different starts can lead to the same poses.
         let in_b: Vec<usize> = (0..self.places.n())
             .filter(|&place| pair.b.contains(&self.part_of[self.places.scans[place]]))
             .collect();
         let is_other = |k: &&usize| {
-            attachments[**k].as_ref().is_some_and(|other| {
-                let is_same = |&&p: &&usize| is_same_pose(&found.poses[p], &other.poses[p]);
+            attachments[**k].poses.as_ref().is_some_and(|other| {
+                let is_same = |&&p: &&usize| is_same_pose(&poses[p], &other[p]);
                 2 * in_b.iter().filter(is_same).count() < in_b.len()
             })
         };
         let second = order[1..].iter().find(is_other).map_or(0, |&k| n_confirmed(k));
-        match (second as f64) <= MAX_SECOND * found.n_confirmed as f64 {
+        match (second as f64) <= MAX_SECOND * n_confirmed(best) as f64 {
             true => Ok(best),
             false => Err(JoinOutcome::Ambiguous),
         }
@@ -477,11 +488,12 @@ impl<'a> Joiner<'a> {
     ) -> JoinOutcome {
         let mut offered = hypothesis.agrees.clone();
         let mut next = first;
+        let (mut n_predicted, mut n_confirmed) = (0, 0);
         for _ in 0..MAX_REPEATS {
-            let Some(found) = next.filter(|found| MIN_CONFIRMED <= found.n_confirmed) else {
-                break;
-            };
-            let poses = self.aligned(pair, &found);
+            let Some(found) = next else { break };
+            (n_predicted, n_confirmed) = (found.n_predicted, found.n_confirmed);
+            let Some(confirmed) = found.confirmed() else { break };
+            let poses = self.aligned(pair, confirmed);
             let [in_a, in_b] = [pair.a, pair.b].map(|map| self.is_in(map));
             let is_pair = |a: usize, b: usize| a < b && (in_a[a] && in_b[b] || in_b[a] && in_a[b]);
             let mut compared = compare_keyframes(self.drive, &poses, &is_pair);
@@ -506,12 +518,11 @@ impl<'a> Joiner<'a> {
                         .map(|p| [p.reference, p.query]),
                 );
                 self.compared.extend(compared);
-                let (n_predicted, n_confirmed) = (found.n_predicted, found.n_confirmed);
                 return JoinOutcome::Joined { n_predicted, n_confirmed };
             }
-            next = self.attach(pair, links, hypothesis, &offered);
+            next = Some(self.attach(pair, links, hypothesis, &offered));
         }
-        JoinOutcome::Unsupported
+        JoinOutcome::Unsupported { n_predicted, n_confirmed }
     }
 
     /// Whether each scan belongs to a map.
@@ -521,10 +532,10 @@ impl<'a> Joiner<'a> {
 
     /// The poses after the second map was moved: the poses of its places carried to all its scans, then
     /// aligned with the scans of the first map.
-    fn aligned(&self, pair: &Pair<'_>, found: &Attachment) -> Vec<Pose2> {
+    fn aligned(&self, pair: &Pair<'_>, of_places: &[Pose2]) -> Vec<Pose2> {
         let [in_a, in_b] = [pair.a, pair.b].map(|map| self.is_in(map));
         let (scans, after): (Vec<usize>, Vec<Pose2>) =
-            self.places.scans.iter().zip(&found.poses).filter(|(scan, _)| in_b[**scan]).unzip();
+            self.places.scans.iter().zip(of_places).filter(|(scan, _)| in_b[**scan]).unzip();
         let carried = carry(self.drive, &self.poses, &scans, &after);
         let is_held: Vec<bool> = in_b.iter().map(|moves| !moves).collect();
         let is_in_map = |scan: usize| in_a[scan] || in_b[scan];

@@ -212,7 +212,7 @@ fn against_truth(drive: &Drive<'_>, truth: &Truth) -> Option<AgainstTruth> {
 }
 
 /// The true poses of the keyframes.
-fn known_poses(drive: &Drive<'_>, truth: &Truth) -> Vec<Option<TruePose>> {
+pub(super) fn known_poses(drive: &Drive<'_>, truth: &Truth) -> Vec<Option<TruePose>> {
     drive.keyframes.iter().map(|k| truth.at(k.stamp_ns)).collect()
 }
 

@@ -15,6 +15,7 @@
 //! assert!(align(&truth, &estimate).unwrap().rmse_m < 1e-12);
 //! ```
 
+mod between;
 mod calibration;
 mod closures;
 mod input;
@@ -24,6 +25,9 @@ mod tables;
 mod trajectory;
 mod truth;
 
+pub use between::{
+    ClosureBetween, DriveKeyframe, MapMeasures, SiteDrives, SiteErrors, SiteMeasures, measure_site,
+};
 pub use calibration::{Calibration, chi_square_quantile, normalized_error};
 pub use closures::{
     CandidateErrors, ClosureErrors, FALSE_DEG, FALSE_M, Judged, PLACE_M, RIGHT_DEG, RIGHT_M,

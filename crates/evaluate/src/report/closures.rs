@@ -6,7 +6,7 @@ use super::figure;
 use crate::detection::{
     AgainstTruth, Calibration, DOUBTFUL_DEG, DOUBTFUL_M, Drive, DriveMeasures, FALSE_DEG, FALSE_M,
     FoundClosure, NEAR_PATH_M, PLACE_M, PoseSource, REVISIT_M, REVISIT_PATH_M, RIGHT_DEG, RIGHT_M,
-    Revisits,
+    Revisits, SiteMeasures,
 };
 use crate::figures::{ClosureSketches, DriveSketch, Figure, Overlay, drive_name, overlay_id};
 use crate::text::{NO_VALUE, optional_percent, thousands};
@@ -15,6 +15,7 @@ use crate::text::{NO_VALUE, optional_percent, thousands};
 pub(super) fn section(
     drives: &[Drive<'_>],
     measures: &[DriveMeasures],
+    sites: &[SiteMeasures],
     sketches: &ClosureSketches,
     figures: &[Figure],
 ) -> Markup {
@@ -34,6 +35,10 @@ pub(super) fn section(
                 (losses(measures))
             } @else {
                 p class="note" { "There is no ground truth: errors are not known. Set " code { "[evaluate] truth" } " to the topic of a better source of poses to measure them." }
+            }
+            @if !sites.is_empty() {
+                h3 { "Maps of several drives" }
+                (self::sites(sites))
             }
             @for sketch in &sketches.drives {
                 (drive(&drives[sketch.drive], &measures[sketch.drive], sketch, figures))
@@ -98,6 +103,37 @@ fn counts(measures: &[DriveMeasures]) -> Markup {
                     td { (thousands(m.n_candidates as u64)) }
                     td { (thousands(m.n_accepted as u64)) }
                     @for reason in &reasons { td { (thousands(rejected(m, reason) as u64)) } }
+                } } }
+            }
+        }
+    }
+}
+
+/// The maps of sites with several drives, and the closures between the drives.
+fn sites(sites: &[SiteMeasures]) -> Markup {
+    html! {
+        div class="scroll" {
+            table {
+                thead { tr {
+                    th { "site" } th { "drives" } th { "accepted" small { "between drives" } }
+                    th { "rejected" } th { "false" small { "beyond " (FALSE_M) "\u{a0}m or " (FALSE_DEG) "\u{a0}deg" } }
+                    th { "error" small { "median" } } th { "revisits closed" small { "of an earlier drive" } }
+                    th { "maps" small { "logs; ATE after one alignment" } }
+                } }
+                tbody { @for site in sites { tr {
+                    th { (site.site) } td { (site.n_drives) }
+                    td { (thousands(site.n_accepted as u64)) } td { (thousands(site.n_rejected as u64)) }
+                    @match site.truth {
+                        Some(truth) => {
+                            td class=[(truth.n_false > 0).then_some("bad")] { (truth.n_false) " of " (truth.n_judged) }
+                            td { (metres(truth.median_m)) }
+                            td { (truth.n_closed) " of " (truth.n_revisits) }
+                        }
+                        None => { td { (NO_VALUE) } td { (NO_VALUE) } td { (NO_VALUE) } }
+                    }
+                    td { @for map in &site.maps {
+                        div { (map.logs.join(", ")) ": " (metres(map.ate_rmse_m)) }
+                    } }
                 } } }
             }
         }

@@ -15,7 +15,7 @@ use dataset::tables::Provenance;
 use dataset::{Keyframe, Losses, Note};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-use crate::detection::{Drive, DriveMeasures};
+use crate::detection::{Drive, DriveMeasures, SiteMeasures};
 use crate::figures::{ClosureSketches, Figure, STYLE, Sketches};
 use crate::{Evaluation, Input};
 
@@ -40,7 +40,7 @@ pub fn report(
     let notes = input.not_evaluated.iter().chain(input.notes);
     let header = headline::headline(input, evaluation);
     let main = html! {
-        (closures::section(input.detection, &evaluation.detection, &sketches.closures, figures))
+        (closures::section(input.detection, &evaluation.detection, &evaluation.sites, &sketches.closures, figures))
         (spread::section(input, evaluation))
         (cross_validation::section(input, evaluation, figures))
         (retrieval::section(input, figures))
@@ -62,6 +62,8 @@ pub struct ClosureReport<'a> {
     pub drives: &'a [Drive<'a>],
     /// The measures of each drive.
     pub measures: &'a [DriveMeasures],
+    /// The measures of each site with several drives.
+    pub sites: &'a [SiteMeasures],
     /// What the figures show of the scans.
     pub sketches: &'a ClosureSketches,
     /// The figures of [`crate::closure_figures`].
@@ -82,7 +84,7 @@ pub fn closure_report(
 ) -> String {
     let header = messages::warnings(of.losses, of.notes.iter());
     let main = html! {
-        (closures::section(of.drives, of.measures, of.sketches, of.figures))
+        (closures::section(of.drives, of.measures, of.sites, of.sketches, of.figures))
         (data::section(of.keyframes, of.losses, of.notes.iter(), (digests, options)))
     };
     page(name, &header, &main, provenance)

@@ -1,12 +1,16 @@
+use std::collections::{BTreeSet, HashMap};
+
 use anyhow::Result;
 use dataset::tables::{Provenance, write_candidates};
-use dataset::{CandidateClosure, RegisteredScan, ScanId};
-use detect::{Candidate, Places, find_candidates};
+use dataset::{CandidateClosure, RegisteredScan, ScanClosure, ScanId};
+use detect::{Candidate, Places, find_candidates, find_candidates_between};
 use optimize::Proposal;
+use register::Drive;
 
 use crate::config::usage;
-use crate::drives::{RegisteredDrive, closure_row, registered_drives};
+use crate::drives::{SiteDrives, closure_row, logs_of_sites};
 use crate::findings::Findings;
+use crate::logs::LogFile;
 use crate::run::{Done, Run};
 use crate::scorer::Scorer;
 use crate::stage::{Artifact, Stage};
@@ -44,21 +48,14 @@ fn check_registered(run: &Run) -> Result<()> {
 fn detect(run: &Run, provenance: &Provenance) -> Result<Done> {
     let model = run.model.as_ref().filter(|_| run.goal.has(Artifact::Features));
     let scorer = model.map(|used| Scorer::new(run, &used.model)).transpose()?;
+    let finder = Finder { run, scorer: scorer.as_ref() };
     let mut done = Done::default();
     let mut rows = Vec::new();
-    for log in run.ingested_logs()? {
-        let (mut n_places, mut n_candidates) = (0, 0);
-        for drive in registered_drives(run, &log.name)? {
-            let found = candidates_of(run, &drive, scorer.as_ref());
-            n_places += found.n_places;
-            n_candidates += found.candidates.len();
-            rows.extend(found.candidates.iter().map(|found| row(&drive.rows, found)));
-        }
-        done.summaries.push(Summary::Detected {
-            log: log.name.to_string(),
-            n_places: n_places as u64,
-            n_candidates: n_candidates as u64,
-        });
+    for (site, logs) in logs_of_sites(run)? {
+        let site = SiteDrives::read(run, site, logs)?;
+        let found = finder.candidates(&site);
+        done.summaries.extend(found.summaries(&site));
+        rows.extend(found.rows);
     }
     done.notes = scorer.iter().flat_map(|scorer| scorer.notes.clone()).collect();
     let path = run.path_of(Artifact::Candidates);
@@ -68,25 +65,98 @@ fn detect(run: &Run, provenance: &Provenance) -> Result<Done> {
     Ok(done)
 }
 
-struct Found {
-    n_places: usize,
-    candidates: Vec<Candidate>,
+/// What finds candidates.
+struct Finder<'a> {
+    run: &'a Run,
+    scorer: Option<&'a Scorer<'a>>,
 }
 
-fn candidates_of(run: &Run, registered: &RegisteredDrive, scorer: Option<&Scorer<'_>>) -> Found {
-    let options = run.config.detection();
-    let drive = registered.drive();
-    let places = Places::new(&drive, &drive.poses, options.place_step_m, options.place_half_m);
-    let ids: Vec<&ScanId> = registered.rows.iter().map(|row| &row.id).collect();
-    let scorer =
-        scorer.filter(|scorer| ids.first().is_some_and(|first| scorer.can_score(&first.log)));
-    // Places are keyframes, and every keyframe has features.
-    let classify = |a: usize, b: usize| {
-        scorer.and_then(|scorer| scorer.score(ids[a], ids[b])).unwrap_or_default()
-    };
-    let classify: Option<detect::Classify<'_>> = scorer.is_some().then_some(&classify);
-    let candidates = find_candidates(&drive, &places, run.detector(), options.min_path_m, classify);
-    Found { n_places: places.scans.len(), candidates }
+/// The candidates of a site.
+struct Found {
+    rows: Vec<CandidateClosure>,
+    /// Number of places of each drive.
+    n_places: Vec<usize>,
+}
+
+impl Finder<'_> {
+    /// The candidates within each drive of a site, and then those between its drives.
+    fn candidates(&self, site: &SiteDrives) -> Found {
+        let options = self.run.config.detection();
+        let detector = self.run.detector();
+        let mut found = Found { rows: Vec::new(), n_places: Vec::new() };
+        let (mut drives, mut places) = (Vec::new(), Vec::new());
+        for registered in &site.drives {
+            let drive = registered.drive();
+            let of_drive =
+                Places::new(&drive, &drive.poses, options.place_step_m, options.place_half_m);
+            let min_path_m = options.min_path_m;
+            let candidates = self.with_classifier(&registered.rows, |classify| {
+                find_candidates(&drive, &of_drive, detector, min_path_m, classify)
+            });
+            found.rows.extend(candidates.iter().map(|found| row(&registered.rows, found)));
+            found.n_places.push(of_drive.scans.len());
+            if 1 < site.drives.len() {
+                drives.push(drive);
+                places.push(of_drive);
+            }
+        }
+        if 1 < drives.len() {
+            let drive = Drive::joined(drives);
+            let places = Places::joined(places, &drive.starts);
+            let rows = site.rows();
+            let candidates = self.with_classifier(&rows, |classify| {
+                find_candidates_between(&drive, &places, detector, 1, classify)
+            });
+            found.rows.extend(candidates.iter().map(|found| row(&rows, found)));
+        }
+        found
+    }
+
+    /// Finds candidates with the confidence of the classifier for pairs of rows, if it can score the logs
+    /// of all rows.
+    fn with_classifier(
+        &self,
+        rows: &[RegisteredScan],
+        find: impl Fn(Option<detect::Classify<'_>>) -> Vec<Candidate>,
+    ) -> Vec<Candidate> {
+        let logs: BTreeSet<&str> = rows.iter().map(|row| &*row.id.log).collect();
+        let is_usable = |scorer: &&Scorer<'_>| logs.iter().all(|log| scorer.can_score(log));
+        let Some(scorer) = self.scorer.filter(is_usable) else { return find(None) };
+        // Places are keyframes, and every keyframe has features.
+        let score = |a: usize, b: usize| scorer.score(&rows[a].id, &rows[b].id).unwrap_or_default();
+        find(Some(&score))
+    }
+}
+
+impl Found {
+    /// What was found in each log, and between the drives of the site.
+    fn summaries(&self, site: &SiteDrives) -> Vec<Summary> {
+        let drive_of: HashMap<&ScanId, usize> = (site.drives.iter().enumerate())
+            .flat_map(|(k, drive)| drive.rows.iter().map(move |row| (&row.id, k)))
+            .collect();
+        let is_within = |c: &&ScanClosure| drive_of.get(&c.query) == drive_of.get(&c.reference);
+        let closures = || self.rows.iter().map(|row| &row.closure);
+        let of_log = |log: &LogFile| {
+            let is_of_log = |c: &&ScanClosure| c.query.log == log.name;
+            let drives = site.drives.iter().zip(&self.n_places);
+            let of_log = drives
+                .filter(|(drive, _)| drive.rows.first().is_some_and(|row| row.id.log == log.name));
+            Summary::Detected {
+                log: log.name.to_string(),
+                n_places: of_log.map(|(_, n)| *n as u64).sum(),
+                n_candidates: closures().filter(is_of_log).filter(is_within).count() as u64,
+            }
+        };
+        let mut summaries: Vec<Summary> = site.logs.iter().map(of_log).collect();
+        if 1 < site.drives.len() {
+            summaries.push(Summary::DetectedBetween {
+                site: site.site.clone(),
+                n_drives: site.drives.len() as u64,
+                n_candidates: closures().filter(|c| !is_within(c)).count() as u64,
+            });
+        }
+        summaries
+    }
 }
 
 fn row(rows: &[RegisteredScan], found: &Candidate) -> CandidateClosure {

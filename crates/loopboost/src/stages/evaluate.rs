@@ -8,7 +8,7 @@ use dataset::tables::{
     read_pairs, read_retrieval, read_rounds, read_scores, write_file,
 };
 use dataset::{Keyframe, Note, Scan};
-use evaluate::detection::{self, Drive, DriveMeasures, PoseSource};
+use evaluate::detection::{self, Drive, DriveMeasures, PoseSource, SiteDrives, SiteMeasures};
 use evaluate::{ClosureReport, ClosureSketches, Evaluation, Fact, Input, Sketches};
 
 use crate::config::Config;
@@ -28,24 +28,30 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
         task.inputs.retain(|input| !input.starts_with(&folder));
     }
     run.task(&task, |provenance| {
-        let found = match run.goal.detects() {
+        let (found, sites) = match run.goal.detects() {
             true => FoundDrive::load_all(run)?,
-            false => Vec::new(),
+            false => Default::default(),
         };
         let closures: Vec<_> = found.iter().map(FoundDrive::closures).collect();
         let drives: Vec<_> =
             found.iter().zip(&closures).map(|(found, closures)| found.drive(closures)).collect();
         match run.goal.trains() {
-            true => evaluate(run, &provenance, &drives),
-            false => evaluate_closures(run, &provenance, &drives),
+            true => evaluate(run, &provenance, &drives, &sites),
+            false => evaluate_closures(run, &provenance, &drives, &sites),
         }
     })
 }
 
 /// Measures and reports the loop closures of new logs.
-fn evaluate_closures(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -> Result<Done> {
+fn evaluate_closures(
+    run: &Run,
+    provenance: &Provenance,
+    drives: &[Drive<'_>],
+    sites: &[SiteDrives],
+) -> Result<Done> {
     let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
     let measures: Vec<_> = drives.iter().map(detection::measure).collect();
+    let sites: Vec<_> = sites.iter().map(|site| detection::measure_site(site, drives)).collect();
     let mut sketches = ClosureSketches::new(drives);
     each_scan(run, &keyframes, |k, scan| sketches.add(drives, &keyframes[k].id, scan))?;
     let figures = evaluate::closure_figures(drives, &measures, &sketches);
@@ -55,12 +61,13 @@ fn evaluate_closures(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -
     let mut outputs = detection::write_detection(&folder, provenance, drives, &measures)?;
     outputs.extend(evaluate::write_figures(&folder.join("figures"), &figures)?);
     let name = &run.config.name;
-    let json = evaluate::closure_json(name, &measures, &losses, &notes);
+    let json = evaluate::closure_json(name, &measures, &sites, &losses, &notes);
     outputs.push(write_json(run, &json)?);
     let closures = ClosureReport {
         keyframes: &keyframes,
         drives,
         measures: &measures,
+        sites: &sites,
         sketches: &sketches,
         figures: &figures,
         losses: &losses,
@@ -69,7 +76,7 @@ fn evaluate_closures(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -
     let (digests, options) = (digests_of_logs(run)?, options(&run.config)?);
     let html = evaluate::closure_report(name, &closures, (&digests, &options), provenance);
     outputs.push(write_report(run, &html)?);
-    let mut summaries = closed(&measures);
+    let mut summaries = closed(&measures, &sites);
     summaries.push(Summary::Written { file: Artifact::Report.pattern().to_owned() });
     Ok(Done { outputs, summaries, ..Done::default() })
 }
@@ -84,7 +91,12 @@ pub(crate) fn run_and_print(run: &Run) -> Result<Findings> {
     Ok(findings)
 }
 
-fn evaluate(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -> Result<Done> {
+fn evaluate(
+    run: &Run,
+    provenance: &Provenance,
+    drives: &[Drive<'_>],
+    sites: &[SiteDrives],
+) -> Result<Done> {
     let (keyframes, _) = labelled_keyframes(run)?;
     let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
     let (features, _) = read_features(&run.path_of(Artifact::Features))?;
@@ -118,13 +130,14 @@ fn evaluate(run: &Run, provenance: &Provenance, drives: &[Drive<'_>]) -> Result<
         losses: &losses,
         notes: &notes,
         detection: drives,
+        sites,
     };
     let evaluation = evaluate::evaluate(&input);
     let mut sketches = Sketches::new(&input, &evaluation);
     each_scan(run, &keyframes, |k, scan| sketches.add(&input, k, scan))?;
 
     let outputs = write(run, provenance, &input, &evaluation, &sketches, (&digests, &options))?;
-    let mut summaries = closed(&evaluation.detection);
+    let mut summaries = closed(&evaluation.detection, &evaluation.sites);
     summaries.extend(self::summaries(&input, &evaluation));
     if !evaluation.is_validated_on_unseen_ground() {
         summaries.push(Summary::NotValidatedOnUnseenGround);
@@ -231,8 +244,8 @@ fn summaries(input: &Input<'_>, evaluation: &Evaluation) -> Vec<Summary> {
     evaluation.precision_recall.iter().map(of_curve).collect()
 }
 
-/// Revisits, false closures and the error of the trajectory, for drives with ground truth.
-fn closed(measures: &[DriveMeasures]) -> Vec<Summary> {
+/// Revisits, false closures and the errors of trajectories and maps, for drives with ground truth.
+fn closed(measures: &[DriveMeasures], sites: &[SiteMeasures]) -> Vec<Summary> {
     let of_drive = |of: &DriveMeasures| {
         let truth = of.truth.as_ref()?;
         let mut errors = truth.trajectories.iter();
@@ -247,7 +260,18 @@ fn closed(measures: &[DriveMeasures]) -> Vec<Summary> {
             ate_rmse_m: optimized.and_then(|errors| errors.ate_rmse_m),
         })
     };
-    measures.iter().filter_map(of_drive).collect()
+    let of_site = |of: &SiteMeasures| {
+        let truth = of.truth?;
+        Some(Summary::ClosedBetween {
+            site: of.site.clone(),
+            n_revisits: truth.n_revisits as u64,
+            n_closed: truth.n_closed as u64,
+            n_false: truth.n_false as u64,
+            n_judged: truth.n_judged as u64,
+            ate_rmse_m: of.maps.iter().filter_map(|map| map.ate_rmse_m).fold(0.0, f64::max),
+        })
+    };
+    measures.iter().filter_map(of_drive).chain(sites.iter().filter_map(of_site)).collect()
 }
 
 /// All options of the run, for the last section of the report.

@@ -1,3 +1,4 @@
+use std::collections::{BTreeSet, HashMap};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
@@ -6,17 +7,20 @@ use dataset::tables::{
     Provenance, read_candidates, write_closures, write_file, write_poses, write_trajectory,
 };
 use dataset::{
-    CandidateClosure, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan, Scan,
+    CandidateClosure, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan, Scan, ScanId,
     StampedPose, Subject, Trajectory,
 };
 use model::{Detector, Model};
-use optimize::{Edge, Proposal, Reason, Solution, align_every_scan, close_loops};
-use register::OdometryScan;
+use optimize::{
+    Edge, JoinOutcome, Known, Proposal, Reason, Site, Solution, align_every_scan, close_loops,
+    join_drives,
+};
+use register::{Drive, OdometryScan};
 use train::detector::{alignment_covariance, closure_covariance};
 
 use crate::drives::{
-    PosedScan, RegisteredDrive, by_scan, closure_row, evidence, matrix, posed_scans,
-    registered_drives, registration_limits, scans_of, upper_triangle,
+    PosedScan, RegisteredDrive, SiteDrives, by_id, closure_row, evidence, logs_of_sites, matrix,
+    posed_scans, registration_limits, scans_of, upper_triangle,
 };
 use crate::findings::Findings;
 use crate::logs::LogFile;
@@ -28,7 +32,7 @@ use crate::summary::Summary;
 /// Candidates -> closures.parquet, trajectory.parquet, trajectory/LOG.parquet, trajectory/LOG.tum,
 /// graph.g2o
 ///
-/// Each segment of a log is a map of its own.
+/// The drives of a site, which are the segments of its logs, share a map where they share places.
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut task = run.task_of(Stage::Optimize)?;
     let trained = trained_model(run, &mut task)?;
@@ -87,18 +91,23 @@ fn optimize(run: &Run, trained: Option<&Model>, provenance: &Provenance) -> Resu
     let detector = detector.unwrap_or_else(|| run.detector());
     let mut maps = Maps::default();
     let mut trajectories = Vec::new();
-    for log in run.ingested_logs()? {
+    for (site, logs) in logs_of_sites(run)? {
+        let site = SiteDrives::read(run, site, logs)?;
         let first = maps.closures.len();
-        let scans = optimize_log(run, &log, detector, &candidates, &mut maps)?;
-        let closures = &maps.closures[first..];
-        done.notes.extend(notes(&log, closures));
-        done.summaries.push(Summary::Optimized {
-            log: log.name.to_string(),
-            n_accepted: closures.iter().filter(|closure| closure.is_accepted()).count() as u64,
-            n_rejected: closures.iter().filter(|closure| !closure.is_accepted()).count() as u64,
-            n_poses: scans.poses().len() as u64,
-        });
-        trajectories.push((log, scans));
+        let solved = solve(run, &site, detector, &candidates)?;
+        let rows = site.rows();
+        maps.add(&rows, &solved);
+        let closures = Closures::of(&site, &maps.closures[first..]);
+        for log in &site.logs {
+            let scans = every_scan(run, log, &site, &solved)?;
+            done.notes.extend(closures.notes(log));
+            done.summaries.push(closures.summary(log, scans.poses().len()));
+            trajectories.push((log.clone(), scans));
+        }
+        if 1 < site.drives.len() {
+            done.summaries.push(closures.joined(&solved));
+            done.notes.extend(join_notes(&site, &solved));
+        }
     }
     let provenance = Provenance { notes: done.notes.clone(), ..provenance.clone() };
     done.outputs = write(run, &provenance, &maps, &trajectories)?;
@@ -117,27 +126,44 @@ fn add_confidences(run: &Run, model: &Model, candidates: &mut [CandidateClosure]
     Ok(())
 }
 
-/// Optimizes each segment of a log. Returns the pose at every scan.
-fn optimize_log(
+/// Closes the loops of each drive of a site by itself, and then joins those that share places.
+fn solve(
     run: &Run,
-    log: &LogFile,
+    site: &SiteDrives,
     detector: &Detector,
     candidates: &[CandidateClosure],
-    maps: &mut Maps,
-) -> Result<Trajectory> {
+) -> Result<Site> {
+    let finder = Proposals { candidates, found_with: run.detector(), detector };
+    let min_path_m = run.config.detection().min_path_m;
+    let (mut drives, mut solutions) = (Vec::new(), Vec::new());
+    for registered in &site.drives {
+        let drive = registered.drive();
+        let proposals = finder.within(&registered.rows);
+        solutions.push(close_loops(&drive, &proposals, detector, min_path_m));
+        drives.push(drive);
+    }
+    let drive = Drive::joined(drives);
+    let proposals = finder.between(&site.rows(), &drive);
+    Ok(join_drives(&drive, &solutions, &Known::default(), &proposals, detector))
+}
+
+/// The poses at every scan of a log.
+fn every_scan(run: &Run, log: &LogFile, site: &SiteDrives, solved: &Site) -> Result<Trajectory> {
     let posed = posed_scans(run, &log.name)?;
     let mut poses = Vec::new();
-    for registered in registered_drives(run, &log.name)? {
-        let proposals = proposals(&registered, candidates, run.detector(), detector)?;
-        let drive = registered.drive();
-        let min_path_m = run.config.detection().min_path_m;
-        let solution = close_loops(&drive, &proposals, detector, min_path_m);
+    let mut optimized = &solved.solution.poses[..];
+    for registered in &site.drives {
+        let (of_drive, rest) = optimized.split_at(registered.rows.len());
+        optimized = rest;
+        if registered.log() != Some(&log.name) {
+            continue;
+        }
         let segment = registered.segment();
         let of_segment = posed.iter().find(|scans| scans[0].odometry.segment == segment);
         let of_segment = of_segment.map(Vec::as_slice).unwrap_or_default();
         let aligned = match run.config.optimize.every_scan {
-            true => aligned_poses(run, log, &registered, &solution, of_segment)?,
-            false => interpolated_poses(&registered.rows, &solution.poses, of_segment),
+            true => aligned_poses(run, log, registered, of_drive, of_segment)?,
+            false => interpolated_poses(&registered.rows, of_drive, of_segment),
         };
         let stamped = of_segment.iter().zip(aligned).map(|(scan, pose)| StampedPose {
             pose,
@@ -146,49 +172,141 @@ fn optimize_log(
             ..scan.odometry
         });
         poses.extend(stamped);
-        maps.add(&registered.rows, &solution);
     }
     Ok(Trajectory::new(poses).0)
 }
 
-/// The candidates of a drive, with the covariance and the confidence that `detector` gives them. They were
+/// Candidates as proposals, with the covariance and the confidence that `detector` gives them. They were
 /// found with the detector `found_with`.
-fn proposals(
-    registered: &RegisteredDrive,
-    candidates: &[CandidateClosure],
-    found_with: &Detector,
-    detector: &Detector,
-) -> Result<Vec<Proposal>> {
-    let Some(first) = registered.rows.first() else { return Ok(Vec::new()) };
-    let rows = by_scan(&registered.rows);
-    let mut proposals = Vec::new();
-    // Those that a detector would not have compared were found for training only.
-    for CandidateClosure { closure, .. } in
-        candidates.iter().filter(|candidate| candidate.rank < detector.n_candidates)
-    {
-        let row_of = |id: &dataset::ScanId| match id.log == first.id.log {
-            true => rows.get(&id.scan).copied(),
-            false => None,
-        };
-        // A closure of another drive.
-        let (Some(query), Some(reference)) = (row_of(&closure.query), row_of(&closure.reference))
-        else {
-            continue;
-        };
-        let evidence = evidence(closure);
-        proposals.push(Proposal {
-            query,
-            reference,
-            reference_from_query: closure.reference_from_query,
-            covariance: closure_covariance(
-                &alignment_covariance(&matrix(closure.covariance), found_with),
-                detector,
-            ),
-            evidence,
-            confidence: detector.confidence(&evidence),
-        });
+struct Proposals<'a> {
+    candidates: &'a [CandidateClosure],
+    found_with: &'a Detector,
+    detector: &'a Detector,
+}
+
+impl Proposals<'_> {
+    /// The candidates within a drive.
+    fn within(&self, rows: &[RegisteredScan]) -> Vec<Proposal> {
+        self.among(rows)
     }
-    Ok(proposals)
+
+    /// The candidates between drives. `rows` are those of all of them.
+    fn between(&self, rows: &[RegisteredScan], drive: &Drive<'_>) -> Vec<Proposal> {
+        let mut proposals = self.among(rows);
+        proposals.retain(|p| drive.part_of(p.query) != drive.part_of(p.reference));
+        proposals
+    }
+
+    /// The candidates between two of the rows.
+    fn among(&self, rows: &[RegisteredScan]) -> Vec<Proposal> {
+        let rows = by_id(rows);
+        // Those that a detector would not have compared were found for training only.
+        let compared = self.candidates.iter().filter(|c| c.rank < self.detector.n_candidates);
+        let proposal = |CandidateClosure { closure, .. }: &CandidateClosure| {
+            let evidence = evidence(closure);
+            Some(Proposal {
+                query: *rows.get(&closure.query)?,
+                reference: *rows.get(&closure.reference)?,
+                reference_from_query: closure.reference_from_query,
+                covariance: closure_covariance(
+                    &alignment_covariance(&matrix(closure.covariance), self.found_with),
+                    self.detector,
+                ),
+                evidence,
+                confidence: self.detector.confidence(&evidence),
+            })
+        };
+        compared.filter_map(proposal).collect()
+    }
+}
+
+/// The closures of a site.
+struct Closures<'a> {
+    site: &'a SiteDrives,
+    /// Each with whether it is between two drives.
+    closures: Vec<(&'a JudgedClosure, bool)>,
+}
+
+impl<'a> Closures<'a> {
+    fn of(site: &'a SiteDrives, closures: &'a [JudgedClosure]) -> Self {
+        let drive_of: HashMap<&ScanId, usize> = (site.drives.iter().enumerate())
+            .flat_map(|(k, drive)| drive.rows.iter().map(move |row| (&row.id, k)))
+            .collect();
+        let is_between = |judged: &JudgedClosure| {
+            drive_of.get(&judged.closure.query) != drive_of.get(&judged.closure.reference)
+        };
+        let closures = closures.iter().map(|judged| (judged, is_between(judged))).collect();
+        Self { site, closures }
+    }
+
+    /// The closures within the drives of a log, and those between its segments.
+    fn of_log(&self, log: &LogFile) -> impl Iterator<Item = &'a JudgedClosure> {
+        let is_of_log = |judged: &&JudgedClosure| {
+            judged.closure.query.log == log.name && judged.closure.reference.log == log.name
+        };
+        self.closures
+            .iter()
+            .map(|(judged, _)| *judged)
+            .filter(is_of_log)
+            .collect::<Vec<_>>()
+            .into_iter()
+    }
+
+    fn summary(&self, log: &LogFile, n_poses: usize) -> Summary {
+        let n_accepted = self.of_log(log).filter(|judged| judged.is_accepted()).count();
+        Summary::Optimized {
+            log: log.name.to_string(),
+            n_accepted: n_accepted as u64,
+            n_rejected: (self.of_log(log).count() - n_accepted) as u64,
+            n_poses: n_poses as u64,
+        }
+    }
+
+    /// The closures between drives, and the number of maps.
+    fn joined(&self, solved: &Site) -> Summary {
+        let between = || self.closures.iter().filter(|(_, is_between)| *is_between);
+        let n_accepted = between().filter(|(judged, _)| judged.is_accepted()).count();
+        Summary::Joined {
+            site: self.site.site.clone(),
+            n_drives: self.site.drives.len() as u64,
+            n_maps: solved.maps.len() as u64,
+            n_accepted: n_accepted as u64,
+            n_rejected: (between().count() - n_accepted) as u64,
+        }
+    }
+
+    /// Remarks about groups of closures that were rejected.
+    fn notes(&self, log: &LogFile) -> Option<Note> {
+        let unsupported = Some(Reason::Unsupported.code());
+        let is_unsupported = |judged: &&JudgedClosure| judged.rejected.as_deref() == unsupported;
+        let n_closures = self.of_log(log).filter(is_unsupported).count() as u64;
+        let kind = NoteKind::UnsupportedClosures { n_closures };
+        (0 < n_closures).then(|| Note::new(kind, Subject::log(&*log.name)))
+    }
+}
+
+/// Remarks about logs of a site that are in different maps.
+fn join_notes(site: &SiteDrives, solved: &Site) -> Vec<Note> {
+    let of_map = |map: &Vec<usize>| -> BTreeSet<&str> {
+        map.iter().filter_map(|&drive| site.drives[drive].log()).map(|log| &**log).collect()
+    };
+    let maps: BTreeSet<BTreeSet<&str>> = solved.maps.iter().map(of_map).collect();
+    let mut notes = Vec::new();
+    // Segments of one log that share no place are usual.
+    if 1 < maps.len() {
+        let maps: Vec<String> =
+            maps.iter().map(|logs| logs.iter().copied().collect::<Vec<_>>().join(", ")).collect();
+        let site = site.site.clone();
+        notes.push(NoteKind::SeparateMaps { site, maps: maps.join(" | ") }.into());
+    }
+    let names =
+        |drives: &[usize]| of_map(&drives.to_vec()).into_iter().collect::<Vec<_>>().join(", ");
+    let ambiguous = solved.joins.iter().filter(|join| join.outcome == JoinOutcome::Ambiguous);
+    notes.extend(ambiguous.map(|join| {
+        let (logs, others) = (names(&join.drives), names(&join.to));
+        NoteKind::AmbiguousMaps { site: site.site.clone(), logs, others }.into()
+    }));
+    notes
 }
 
 /// Aligns every scan of a segment with the map.
@@ -196,31 +314,34 @@ fn aligned_poses(
     run: &Run,
     log: &LogFile,
     registered: &RegisteredDrive,
-    solution: &Solution,
+    poses: &[Pose2],
     posed: &[PosedScan],
 ) -> Result<Vec<Pose2>> {
     let numbers: Vec<u32> = posed.iter().map(|scan| scan.scan).collect();
     let scans: Vec<Scan> = scans_of(&run.scans(&log.name), &numbers)?;
-    let rows = by_scan(&registered.rows);
+    let rows = by_id(&registered.rows);
+    let is_keyframe = |scan: u32| {
+        let id = ScanId { log: log.name.clone(), scan };
+        rows.get(&id).is_some_and(|&row| registered.rows[row].is_keyframe)
+    };
     let input: Vec<OdometryScan<'_>> = posed
         .iter()
         .zip(&scans)
         .map(|(posed, scan)| OdometryScan {
             scan,
             odometry: posed.odometry.pose,
-            is_keyframe: rows.get(&posed.scan).is_some_and(|&row| registered.rows[row].is_keyframe),
+            is_keyframe: is_keyframe(posed.scan),
         })
         .collect();
     let in_input: Vec<usize> = positions(&registered.rows, posed)
         .with_context(|| format!("log `{}`: registered scans and poses do not match", log.name))?;
     let limits = registration_limits(&run.config, &log.name)?;
-    Ok(align_every_scan(&registered.drive(), &solution.poses, &in_input, &input, limits))
+    Ok(align_every_scan(&registered.drive(), poses, &in_input, &input, limits))
 }
 
 /// The index of each registered scan among all scans of its segment.
 fn positions(rows: &[RegisteredScan], posed: &[PosedScan]) -> Result<Vec<usize>> {
-    let index: std::collections::HashMap<u32, usize> =
-        posed.iter().map(|scan| scan.scan).zip(0..).collect();
+    let index: HashMap<u32, usize> = posed.iter().map(|scan| scan.scan).zip(0..).collect();
     rows.iter()
         .map(|row| {
             index.get(&row.id.scan).copied().ok_or_else(|| {
@@ -260,15 +381,19 @@ fn interpolated_poses(
 }
 
 impl Maps {
-    /// Adds the solution of a drive as a map of its own.
-    fn add(&mut self, rows: &[RegisteredScan], solution: &Solution) {
+    /// Adds the drives of a site, whose rows are `rows`.
+    fn add(&mut self, rows: &[RegisteredScan], site: &Site) {
+        let solution = &site.solution;
         self.closures.extend(solution.closures.iter().map(|closure| JudgedClosure {
             closure: closure_row(rows, &closure.proposal),
             rejected: closure.rejected.map(|reason| reason.code().to_owned()),
         }));
-        let keyframes = rows.iter().zip(&solution.poses).zip(&solution.covariances);
-        self.keyframes.extend(keyframes.filter(|((row, _), _)| row.is_keyframe).map(
-            |((row, pose), covariance)| MapPose {
+        let mut first_row = 0;
+        for (drive, of_drive) in rows.chunk_by(is_same_drive).enumerate() {
+            let in_site = site.maps.iter().position(|map| map.contains(&drive)).unwrap_or_default();
+            let poses = solution.poses[first_row..].iter().zip(&solution.covariances[first_row..]);
+            let keyframes = of_drive.iter().zip(poses).filter(|(row, _)| row.is_keyframe);
+            self.keyframes.extend(keyframes.map(|(row, (pose, covariance))| MapPose {
                 id: row.id.clone(),
                 stamp_ns: row.stamp_ns,
                 pose: *pose,
@@ -276,12 +401,18 @@ impl Maps {
                 is_degenerate: row.is_degenerate,
                 segment: row.segment,
                 travel_m: row.travel_m,
-                map: self.n_maps,
-            },
-        ));
+                map: self.n_maps + in_site as u32,
+            }));
+            first_row += of_drive.len();
+        }
         self.graph.add(rows, solution);
-        self.n_maps += 1;
+        self.n_maps += site.maps.len() as u32;
     }
+}
+
+/// Whether two consecutive rows belong to the same drive.
+fn is_same_drive(a: &RegisteredScan, b: &RegisteredScan) -> bool {
+    (&a.id.log, a.segment) == (&b.id.log, b.segment)
 }
 
 /// `graph.g2o`: the pose graphs of all maps.
@@ -294,20 +425,24 @@ struct Graph {
 }
 
 impl Graph {
-    /// Adds the graph of a drive: its vertices are the scans that have an edge.
+    /// Adds the graph of the drives of a site: its vertices are the scans that have an edge.
     fn add(&mut self, rows: &[RegisteredScan], solution: &Solution) {
         let mut ids = vec![None; rows.len()];
         for &Edge { a, b, .. } in &solution.edges {
             (ids[a], ids[b]) = (Some(0), Some(0));
         }
-        if let Some(first) = rows.first() {
-            let _ = writeln!(
-                self.comments,
-                "# vertices from {}: log {}, segment {}",
-                self.n_vertices, first.id.log, first.segment
-            );
-        }
-        for (row, id) in ids.iter_mut().enumerate().filter(|(_, id)| id.is_some()) {
+        for (row, id) in ids.iter_mut().enumerate() {
+            if row == 0 || !is_same_drive(&rows[row - 1], &rows[row]) {
+                let RegisteredScan { id: first, segment, .. } = &rows[row];
+                let _ = writeln!(
+                    self.comments,
+                    "# vertices from {}: log {}, segment {segment}",
+                    self.n_vertices, first.log
+                );
+            }
+            if id.is_none() {
+                continue;
+            }
             *id = Some(self.n_vertices);
             let Pose2 { x_m, y_m, heading_rad } = solution.poses[row];
             let _ =
@@ -370,15 +505,6 @@ fn write(
         outputs.extend([table, text]);
     }
     Ok(outputs)
-}
-
-/// Remarks about groups of closures that were rejected.
-fn notes(log: &LogFile, closures: &[JudgedClosure]) -> Option<Note> {
-    let is_unsupported =
-        |closure: &&JudgedClosure| closure.rejected.as_deref() == Some(Reason::Unsupported.code());
-    let n_closures = closures.iter().filter(is_unsupported).count() as u64;
-    let kind = NoteKind::UnsupportedClosures { n_closures };
-    (0 < n_closures).then(|| Note::new(kind, Subject::log(&*log.name)))
 }
 
 #[cfg(test)]
