@@ -8,19 +8,19 @@ use register::{Drive, OdometryScan, RegisterOptions, Registered, register_drive}
 
 use crate::world::{World, lap};
 
-const LIMITS: RangeLimits = RangeLimits { min_m: 0.1, max_m: 25.0 };
-const MIN_PATH_M: f64 = 30.0;
+pub(crate) const LIMITS: RangeLimits = RangeLimits { min_m: 0.1, max_m: 25.0 };
+pub(crate) const MIN_PATH_M: f64 = 30.0;
 
 /// A drive with all its scans, and where the robot really was.
-struct Simulated {
-    truth: Vec<Pose2>,
-    odometry: Vec<Pose2>,
+pub(crate) struct Simulated {
+    pub(crate) truth: Vec<Pose2>,
+    pub(crate) odometry: Vec<Pose2>,
     scans: Vec<Scan>,
 }
 
 impl Simulated {
     /// The heading of the odometry drifts by `bias_deg_per_m`.
-    fn new(world: &World, truth: Vec<Pose2>, bias_deg_per_m: f64) -> Self {
+    pub(crate) fn new(world: &World, truth: Vec<Pose2>, bias_deg_per_m: f64) -> Self {
         let mut random = SplitMix64::new(5);
         let mut odometry = vec![truth[0]];
         for pair in truth.windows(2) {
@@ -41,7 +41,7 @@ impl Simulated {
     }
 
     /// The registered drive, and the index of each of its scans.
-    fn registered(&self) -> (Drive<'_>, Vec<usize>) {
+    pub(crate) fn registered(&self) -> (Drive<'_>, Vec<usize>) {
         let scans = self.odometry_scans();
         let noise = Detector::starting_values().odometry;
         let registered = register_drive(&scans, LIMITS, &noise, &RegisterOptions::default());
@@ -58,7 +58,7 @@ impl Simulated {
     }
 }
 
-fn proposal(query: usize, reference: usize, reference_from_query: Pose2) -> Proposal {
+pub(crate) fn proposal(query: usize, reference: usize, reference_from_query: Pose2) -> Proposal {
     let evidence = Evidence {
         overlap: 0.8,
         known_overlap: 0.9,
