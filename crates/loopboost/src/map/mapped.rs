@@ -1,6 +1,6 @@
 //! What `map` reads from a run folder.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -118,31 +118,45 @@ fn labelled_pairs(folder: &Path) -> Result<Option<Vec<LabelledPair>>> {
 }
 
 /// What differs in the origins of the tables that both runs have: program, seed, options, and the files
-/// that are not tables of the run, such as logs.
+/// that are not tables of the run, such as logs. A difference of several tables is listed once, with the first
+/// of them.
 pub(super) fn origins(a: &MappedFolder, b: &MappedFolder) -> Vec<Origin> {
-    let mut origins = Vec::new();
+    let mut origins: Vec<Origin> = Vec::new();
     for (table, of_a) in &a.tables {
         let Some(of_b) = b.tables.get(table) else { continue };
-        let mut add = |key: &str, a: Option<String>, b: Option<String>| {
-            if a != b {
-                origins.push(Origin { table: table.clone(), key: key.to_owned(), a, b });
+        for (key, a, b) in differences(of_a, of_b) {
+            if !origins.iter().any(|origin| origin.key == key && origin.a == a && origin.b == b) {
+                origins.push(Origin { table: table.clone(), key, a, b });
             }
-        };
-        let version = |of: &Provenance| Some(of.program_version.clone());
-        add("program_version", version(of_a), version(of_b));
-        add("seed", Some(of_a.seed.to_string()), Some(of_b.seed.to_string()));
-        let text = |value: &Value| (!value.is_null()).then(|| value.to_string());
-        for (key, a, b) in changed_values(&of_a.options, &of_b.options) {
-            add(&key, text(&a), text(&b));
-        }
-        let names =
-            of_a.inputs.keys().chain(of_b.inputs.keys().filter(|n| !of_a.inputs.contains_key(*n)));
-        let is_table = |name: &String| {
-            Artifact::of_name(name).is_some_and(|(artifact, _)| artifact != Artifact::Log)
-        };
-        for name in names.filter(|name| !is_table(name)) {
-            add(name, of_a.inputs.get(name).cloned(), of_b.inputs.get(name).cloned());
         }
     }
     origins
+}
+
+/// What differs in two provenances: the key, and both values.
+fn differences(a: &Provenance, b: &Provenance) -> Vec<(String, Option<String>, Option<String>)> {
+    let program = |of: &Provenance| Some(of.program_version.clone());
+    let seed = |of: &Provenance| Some(of.seed.to_string());
+    let mut found = vec![
+        ("program_version".to_owned(), program(a), program(b)),
+        ("seed".to_owned(), seed(a), seed(b)),
+    ];
+    let text = |value: Value| match value {
+        Value::Null => None,
+        Value::String(text) => Some(text),
+        other => Some(other.to_string()),
+    };
+    let options = changed_values(&a.options, &b.options).into_iter();
+    found.extend(options.map(|(key, a, b)| (key, text(a), text(b))));
+    // The options contain the digest of a model.
+    let is_external = |name: &&String| {
+        !name.ends_with(".json")
+            && Artifact::of_name(name).is_none_or(|(artifact, _)| artifact == Artifact::Log)
+    };
+    let names: BTreeSet<&String> =
+        a.inputs.keys().chain(b.inputs.keys()).filter(is_external).collect();
+    let digest = |of: &Provenance, name: &String| of.inputs.get(name).cloned();
+    found.extend(names.into_iter().map(|name| (name.clone(), digest(a, name), digest(b, name))));
+    found.retain(|(_, a, b)| a != b);
+    found
 }

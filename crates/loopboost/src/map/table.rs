@@ -87,7 +87,7 @@ fn closures(of: &ComparedClosures) {
         out!("gained, by the reason in A: {}", reasons(&of.gained));
     }
     if let Some(kept) = &of.kept {
-        let std = |value: Option<f64>| value.map_or("-".to_owned(), |std| format!("{std:.2} std"));
+        let std = |value: Option<f64>| value.map_or("-".to_owned(), |std| format!("{std:.2}"));
         let row = |name: &str, m: f64, deg: f64, of_std: Option<f64>| {
             vec![name.to_owned(), format!("{m:.4} m"), format!("{deg:.3} deg"), std(of_std)]
         };
@@ -95,7 +95,7 @@ fn closures(of: &ComparedClosures) {
             row("median", kept.median_m, kept.median_deg, kept.median_std),
             row("largest", kept.max_m, kept.max_deg, kept.max_std),
         ];
-        print_table(&["motion of kept closures", "shift", "turn", "distance"], rows);
+        print_table(&["motion of kept closures", "shift", "turn", "std"], rows);
         out!("{} of {} moved by more than the tolerance", of.n_moved, of.n_kept);
     }
 }
