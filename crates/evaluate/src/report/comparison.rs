@@ -1,11 +1,11 @@
 //! What changed between two runs.
 
-use dataset::Severity;
 use maud::{Markup, html};
 
-use super::figure;
+use super::{figure, messages};
 use crate::comparison::{
-    ComparedClosures, ComparedLabels, Comparison, Motion, Origin, Presence, ReasonCount,
+    ChangeOfClosure, ComparedClosures, ComparedLabels, Comparison, Motion, Origin, Presence,
+    ReasonCount,
 };
 use crate::figures::Figure;
 use crate::text::{NO_VALUE, thousands};
@@ -28,13 +28,7 @@ pub(super) fn answer(of: &Comparison) -> Markup {
                 (thousands(of.closures.n_kept as u64)) " closures in both runs."
             }
         }
-        @if !notes.is_empty() {
-            div class="warnings" {
-                ul { @for note in &notes { li {
-                    (note.to_string()) " " span class="code" { (Severity::Warning.name()) "[" (note.code()) "]" }
-                } } }
-            }
-        }
+        @if !notes.is_empty() { div class="warnings" { (messages::notes(notes.iter())) } }
         div class="scroll" { table {
             thead { tr { th { "run" } th class="text" { "folder" } th { "program" } th { "seed" } } }
             tbody { @for (side, run) in [("A", &of.a), ("B", &of.b)] { tr {
@@ -154,12 +148,12 @@ fn changed_closures(of: &ComparedClosures) -> Markup {
     html! {
         @for changes in kinds {
             @let name = match changes[0].change {
-                crate::comparison::ChangeOfClosure::Lost => "lost",
-                crate::comparison::ChangeOfClosure::Gained => "gained",
-                crate::comparison::ChangeOfClosure::Moved => "moved",
+                ChangeOfClosure::Lost => "lost",
+                ChangeOfClosure::Gained => "gained",
+                ChangeOfClosure::Moved => "moved",
             };
             details {
-                summary { (thousands(changes.len() as u64)) " " (name) " closures"
+                summary { (thousands(changes.len() as u64)) " " (name) @if changes.len() == 1 { " closure" } @else { " closures" }
                     @if MAX_ROWS < changes.len() { ", the first " (MAX_ROWS) }
                 }
                 div class="scroll" { table {
