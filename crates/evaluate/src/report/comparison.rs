@@ -23,6 +23,9 @@ pub(super) fn answer(of: &Comparison) -> Markup {
                 (thousands(of.closures.n_lost as u64)) " closures lost, "
                 (thousands(of.closures.n_gained as u64)) " gained, "
                 (thousands(of.closures.n_moved as u64)) " of " (thousands(of.closures.n_kept as u64)) " moved."
+                @if let Some(largest_m) = of.trajectories.iter().map(|t| t.max_m).reduce(f64::max) {
+                    " Optimized poses differ by up to " (format!("{largest_m:.3}")) "\u{a0}m."
+                }
             } @else {
                 b { "Nothing changed" } " beyond the tolerances: "
                 (thousands(of.closures.n_kept as u64)) " closures in both runs."
