@@ -7,6 +7,7 @@
 )]
 
 mod batch;
+mod compare;
 mod deskew;
 mod detection;
 mod encodings;

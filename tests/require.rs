@@ -63,8 +63,8 @@ for name in sys.argv[1:]:
     None
 }
 
-/// The `mcap` command line tool: `LOOPBOOST_MCAP`, or `mcap`. No package registry has it, so `peers`
-/// does not include it.
+/// A command with `doctor`: `LOOPBOOST_MCAP`, or `mcap`. It is the command line tool of MCAP, or
+/// `pymcap-cli` of PyPI, which `.ci/run` installs.
 pub fn mcap_command() -> Option<String> {
     let mcap = std::env::var("LOOPBOOST_MCAP").unwrap_or_else(|_| "mcap".to_owned());
     if Command::new(&mcap).args(["doctor", "--help"]).output().is_ok() {

@@ -71,8 +71,8 @@ pub fn check_with_doctor(mcap: &str, log: &Path) {
     let output = Command::new(mcap).args(["doctor", "--strict-message-order"]).arg(log).output();
     let output = output.unwrap();
     let printed = [output.stdout, output.stderr].concat();
-    let printed = String::from_utf8_lossy(&printed);
-    let has_no_faults = !printed.contains("Warning") && !printed.contains("Error");
+    let printed = String::from_utf8_lossy(&printed).to_lowercase();
+    let has_no_faults = !printed.contains("warning") && !printed.contains("error");
     assert!(output.status.success() && has_no_faults, "{}: {printed}", log.display());
 }
 

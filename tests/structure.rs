@@ -153,7 +153,7 @@ fn ci_runs_the_commands_of_the_readme() {
 /// The committed JSON Schemas are generated from the types, and the pipelines are valid by theirs.
 #[test]
 fn the_schemas_are_generated_from_the_types() {
-    for file in ["pipeline", "model"] {
+    for file in ["comparison", "pipeline", "model"] {
         let printed = crate::support::loopboost(&["schema", file]).expect(0).stdout;
         let committed =
             fs::read_to_string(root().join(format!("docs/schema/{file}.json"))).unwrap();

@@ -4,15 +4,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::BufReader;
 use std::path::Path;
+use std::process::Command;
 
-use dataset::tables::{read_closures, read_poses, read_registered, read_trajectory};
+use dataset::tables::{
+    read_closures, read_poses, read_registered, read_trajectory, write_closures,
+};
 use dataset::{JudgedClosure, Pose2, ScanId};
 use messages::{Source, read_point_cloud, read_transforms};
 use serde_json::Value;
 use simulate::{Campus, Point, SENSOR_HEIGHT_M, Segment};
 
 use crate::detection::{new_drive, run_stages};
-use crate::require::mcap_command;
+use crate::require::{mcap_command, python_with};
 use crate::simulation::check_with_doctor;
 use crate::support::{Workplace, loopboost, loopboost_with_threads, root};
 
@@ -319,6 +322,40 @@ fn the_overlay_and_the_map_show_what_the_tables_contain() {
 
     if let Some(mcap) = mcap_command() {
         check_with_doctor(&mcap, &overlay);
+    }
+    check_with_foxglove_schemas(&run, &workplace.path("view"));
+}
+
+/// Foxglove's schemas for Python read the overlay back. They find every closure of the table and no other, so
+/// the check fails for a table with one closure less, with one more, or with another reason.
+fn check_with_foxglove_schemas(run: &Path, view: &Path) {
+    let modules = ["mcap", "foxglove_schemas_protobuf", "pyarrow"];
+    let Some(python) = python_with(&modules) else { return };
+    let check = || {
+        let script = root().join("tests/peers/overlay.py");
+        let output = Command::new(&python).arg("-B").arg(script).args([run, view]).output();
+        let output = output.unwrap();
+        let printed = [output.stdout, output.stderr].concat();
+        (output.status.success(), String::from_utf8(printed).unwrap())
+    };
+    let (is_right, printed) = check();
+    assert!(is_right, "{printed}");
+    println!("{printed}");
+    let path = run.join("closures.parquet");
+    let (closures, provenance) = read_closures(&path).unwrap();
+    let n = closures.len();
+    let mut other_reason = closures.clone();
+    let rejected = other_reason.iter_mut().find_map(|closure| closure.rejected.as_mut()).unwrap();
+    rejected.push_str("_now");
+    let one_more = [&closures[..], &closures[n - 1..]].concat();
+    for (rows, fault) in [
+        (&closures[..n - 1], "lines that are not in closures.parquet".to_owned()),
+        (&one_more[..], format!("no line for row {n} of closures.parquet")),
+        (&other_reason[..], "_now".to_owned()),
+    ] {
+        write_closures(&path, &provenance, rows).unwrap();
+        let (is_right, printed) = check();
+        assert!(!is_right && printed.contains(&fault), "{printed}");
     }
 }
 

@@ -371,6 +371,123 @@ codes! {
             others: String,
         } => "site `{site}`: {logs} fit onto {others} in two different ways, nearly equally well, and were not joined: the buildings or corridors look alike";
 
+        // Comparing two runs A and B (`map compare`).
+
+        /// B lacks logs of A.
+        Warning "logs_removed" LogsRemoved {
+            /// The logs.
+            logs: Vec<String>,
+        } => "only A has {}", of_logs(logs);
+        /// B has logs that A does not have.
+        Warning "logs_added" LogsAdded {
+            /// The logs.
+            logs: Vec<String>,
+        } => "only B has {}; if new logs are expected, use `--allow-new-logs`", of_logs(logs);
+        /// Keyframes of both runs have the same number and other stamps.
+        Warning "other_scans" OtherScans {
+            /// Keyframes with the same number and another stamp.
+            n_other: u64,
+            /// Keyframes with the same number and stamp.
+            n_common: u64,
+        } => "{} of both runs with the same number, but another stamp, and {n_common} with the same stamp: the two runs use different recordings under one name, or number their scans differently; compare runs of the same logs", count(*n_other, "keyframe");
+        /// A log is in more or fewer maps.
+        Warning "maps_of_log_changed" MapsOfLogChanged {
+            /// Maps with a part of the log in A.
+            n_maps_a: u64,
+            /// Maps with a part of the log in B.
+            n_maps_b: u64,
+        } => "the log is in {} of A and in {} of B", count(*n_maps_a, "map"), count(*n_maps_b, "map");
+        /// Logs share a map in one run only.
+        Warning "maps_joined_or_split" MapsJoinedOrSplit {
+            /// Pairs of logs that share a map in A only.
+            n_only_a: u64,
+            /// Pairs of logs that share a map in B only.
+            n_only_b: u64,
+            /// A log of the first of these pairs.
+            first: String,
+            /// The other log of that pair.
+            second: String,
+        } => "{} in one map in A only, and {n_only_b} in B only, such as `{first}` and `{second}`", match n_only_a {
+                1 => "1 pair of logs".to_owned(),
+                n => format!("{n} pairs of logs"),
+            };
+        /// Closures are accepted in A only.
+        Warning "closures_lost" ClosuresLost {
+            /// Closures.
+            n_lost: u64,
+            /// Accepted closures of A.
+            n_closures_a: u64,
+            /// Largest number that is tolerated.
+            max_lost: u64,
+        } => "{n_lost} of {} of A not accepted in B, expected at most {max_lost} (`--max-lost`)", count(*n_closures_a, "closure");
+        /// Closures are accepted in B only.
+        Warning "closures_gained" ClosuresGained {
+            /// Closures.
+            n_gained: u64,
+            /// Accepted closures of B.
+            n_closures_b: u64,
+            /// Largest number that is tolerated.
+            max_gained: u64,
+        } => "{n_gained} of {} of B not accepted in A, expected at most {max_gained} (`--max-gained`)", count(*n_closures_b, "closure");
+        /// Closures that both runs accept have other relative poses.
+        Warning "closures_moved" ClosuresMoved {
+            /// Closures beyond the tolerance.
+            n_moved: u64,
+            /// Closures that both accept.
+            n_kept: u64,
+            /// Largest shift \[m\].
+            largest_m: f64,
+            /// Largest turn \[deg\].
+            largest_deg: f64,
+            /// Largest shift that is tolerated \[m\].
+            max_shift_m: f64,
+            /// Largest turn that is tolerated \[deg\].
+            max_turn_deg: f64,
+        } => "the relative poses of {n_moved} of {} in both runs moved, by up to {largest_m:.3} m and {largest_deg:.2} deg; expected at most {max_shift_m} m (`--max-shift-m`) and {max_turn_deg} deg (`--max-turn-deg`)", count(*n_kept, "closure");
+        /// The optimized poses of scans differ.
+        Warning "trajectory_changed" TrajectoryChanged {
+            /// The logs.
+            logs: Vec<String>,
+            /// The log with the largest distance.
+            farthest_log: String,
+            /// The keyframe of A nearest before the scan with the largest distance.
+            keyframe: u64,
+            /// Median of the distances \[m\].
+            median_m: f64,
+            /// Largest distance \[m\].
+            largest_m: f64,
+            /// Largest turn \[deg\].
+            largest_deg: f64,
+            /// Largest distance that is tolerated \[m\].
+            max_shift_m: f64,
+            /// Largest turn that is tolerated \[deg\].
+            max_turn_deg: f64,
+        } => "{}: after alignment, the optimized poses differ by up to {largest_m:.3} m and {largest_deg:.2} deg (median {median_m:.3} m, largest distance near scan {keyframe} of log `{farthest_log}`); expected at most {max_shift_m} m (`--max-shift-m`) and {max_turn_deg} deg (`--max-turn-deg`)", of_logs(logs);
+        /// Labelled pairs have other labels.
+        Warning "labels_changed" LabelsChanged {
+            /// Pairs that are positive in A and negative in B.
+            n_positive_to_negative: u64,
+            /// Pairs that are negative in A and positive in B.
+            n_negative_to_positive: u64,
+            /// Pairs in both runs.
+            n_common: u64,
+            /// Largest number that is tolerated.
+            max_flips: u64,
+        } => "of {} in both runs, {n_positive_to_negative} changed from positive to negative, and {n_negative_to_positive} from negative to positive; expected at most {max_flips} (`--max-flips`)", count(*n_common, "labelled pair");
+        /// Pairs of keyframes are at the same place in one run only.
+        Warning "places_changed" PlacesChanged {
+            /// Pairs at the same place in A only.
+            n_only_a: u64,
+            /// Pairs at the same place in B only.
+            n_only_b: u64,
+            /// Pairs at the same place in A.
+            n_a: u64,
+            /// Largest distance of keyframes at the same place \[m\].
+            radius_m: f64,
+            /// Largest number that is tolerated.
+            max_flips: u64,
+        } => "of {} within {radius_m} m by the optimized poses of A, {n_only_a} are not within it in B, and {n_only_b} are within it in B only; expected at most {max_flips} (`--max-flips`)", count(*n_a, "keyframe pair");
+
         /// A part of the detector was not fitted.
         Warning "detector_part_not_fitted" DetectorPartNotFitted {
             /// The part, by its name in `model.json`.

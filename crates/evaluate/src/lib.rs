@@ -24,6 +24,7 @@
 //! Invariant: this crate uses scores and never models.
 
 mod bootstrap;
+pub mod comparison;
 pub mod detection;
 mod exact;
 mod figures;
@@ -51,7 +52,7 @@ pub use metrics::{
     Confusion, Measures, OperatingPoint, PrPoint, operating_points, precision_recall,
 };
 pub use options::Options;
-pub use report::{ClosureReport, Fact, closure_report, report};
+pub use report::{ClosureReport, Fact, closure_report, comparison_report, report};
 pub use retrieval::{Ranked, rank};
 pub use spread::Spread;
 pub use tables::write_tables;

@@ -93,6 +93,7 @@ impl Made {
         Drive {
             log: "hall",
             segment: 0,
+            map: Some(0),
             keyframes: &self.keyframes,
             scans: &self.scans,
             candidates: &self.candidates,

@@ -4,11 +4,13 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use clap::{Arg, ArgAction, ArgMatches, Args, FromArgMatches, Parser, Subcommand, ValueEnum};
+use evaluate::comparison::Comparison;
 
 use crate::config::{Config, usage};
 use crate::findings::{Failure, Findings};
 use crate::import::ImportArgs;
 use crate::inspect::InspectArgs;
+use crate::map::MapCommand;
 use crate::run::{Mode, Run};
 use crate::score::ScoreArgs;
 use crate::stage::Stage;
@@ -56,6 +58,11 @@ enum Command {
     Score(ScoreArgs),
     /// Write the loop closures and the map of a run for Foxglove and for map_server
     View(ViewArgs),
+    /// Compare the maps of two runs
+    Map {
+        #[command(subcommand)]
+        command: MapCommand,
+    },
     /// Show the inputs of an artifact, back to the logs
     Lineage {
         /// A table, a model.json or a report.html
@@ -75,7 +82,7 @@ enum Command {
         #[arg(long, value_name = "PIPELINE.toml")]
         pipeline: Option<PathBuf>,
     },
-    /// Print the JSON Schema of a file that loopboost reads
+    /// Print the JSON Schema of a file that loopboost reads or writes
     Schema {
         /// Which file
         file: SchemaOf,
@@ -130,6 +137,8 @@ enum SchemaOf {
     Pipeline,
     /// model.json
     Model,
+    /// The output of `map compare --json`
+    Comparison,
 }
 
 /// A stage as a command of its own. Names and help come from [`Stage`].
@@ -266,6 +275,7 @@ impl Command {
             Self::Import(args) => args.execute(),
             Self::Score(args) => args.execute(),
             Self::View(args) => args.execute(),
+            Self::Map { command } => command.execute(),
             Self::Lineage { artifact } => done(lineage::lineage(&artifact)),
             Self::Log { .. } => Err(usage("`loopboost log` was renamed: use `loopboost lineage`")),
             Self::Verify { folder, pipeline } => {
@@ -276,6 +286,7 @@ impl Command {
                 let schema = match file {
                     SchemaOf::Pipeline => schemars::schema_for!(Config),
                     SchemaOf::Model => model::schema(),
+                    SchemaOf::Comparison => schemars::schema_for!(Comparison),
                 };
                 out!("{}", serde_json::to_string_pretty(&schema)?);
                 Ok(Findings::default())

@@ -113,6 +113,7 @@ impl FoundDrive {
         Drive {
             log: &self.log,
             segment: self.segment,
+            map: (!self.keyframes.is_empty()).then_some(self.map),
             keyframes: &self.keyframes,
             scans: &self.scans,
             candidates: &self.candidates,

@@ -28,6 +28,7 @@ mod label_choice;
 mod labelled;
 mod lineage;
 mod logs;
+mod map;
 mod models;
 mod pipeline;
 mod plot;

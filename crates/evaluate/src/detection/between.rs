@@ -240,6 +240,7 @@ mod tests {
             Drive {
                 log,
                 segment: 0,
+                map: Some(0),
                 keyframes: &self.keyframes,
                 scans: &[],
                 candidates: &[],

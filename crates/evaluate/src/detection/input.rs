@@ -9,6 +9,8 @@ pub struct Drive<'a> {
     pub log: &'a str,
     /// Number of the piece. See [`dataset::StampedPose::segment`].
     pub segment: u32,
+    /// Number of the map that the drive lies in. `None` without keyframes.
+    pub map: Option<u32>,
     /// The keyframes, with ascending stamps.
     pub keyframes: &'a [KeyframePoses],
     /// All scans, with ascending stamps.

@@ -351,6 +351,7 @@ mod tests {
         Drive {
             log: "circle",
             segment: 2,
+            map: Some(0),
             keyframes: &circle.keyframes,
             scans: &circle.scans,
             candidates,

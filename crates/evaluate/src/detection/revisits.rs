@@ -218,6 +218,7 @@ mod tests {
         Drive {
             log: "a",
             segment: 0,
+            map: Some(0),
             keyframes,
             scans: &[],
             candidates,

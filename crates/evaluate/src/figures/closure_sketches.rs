@@ -74,12 +74,26 @@ pub(crate) struct DriveSketch {
     pub(crate) overlays: Vec<Overlay>,
 }
 
+/// A map that several drives lie in.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct MapSketch {
+    /// Number of the map.
+    pub(crate) map: u32,
+    /// Indices of its drives.
+    pub(crate) drives: Vec<usize>,
+    /// The scans of all drives at the optimized poses.
+    pub(crate) ground: Ground,
+}
+
 /// Collects what the figures of loop closures show of the scans, one scan at a time.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ClosureSketches {
     pub(crate) drives: Vec<DriveSketch>,
     /// By scan: the index of the sketch and of the keyframe.
     keyframes: BTreeMap<ScanId, (usize, usize)>,
+    pub(crate) maps: Vec<MapSketch>,
+    /// By scan: the index of the map sketch, of the drive and of the keyframe.
+    in_maps: BTreeMap<ScanId, [usize; 3]>,
 }
 
 impl ClosureSketches {
@@ -109,11 +123,42 @@ impl ClosureSketches {
                 overlays: overlays(drive.closures),
             });
         }
+        sketches.add_maps(drives);
         sketches
+    }
+
+    /// Selects the maps of several drives: those with the most keyframes.
+    fn add_maps(&mut self, drives: &[Drive<'_>]) {
+        let mut of_maps: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+        for (k, map) in drives.iter().enumerate().filter_map(|(k, drive)| Some((k, drive.map?))) {
+            of_maps.entry(map).or_default().push(k);
+        }
+        let mut maps: Vec<(u32, Vec<usize>)> =
+            of_maps.into_iter().filter(|(_, of_map)| 1 < of_map.len()).collect();
+        let n_keyframes =
+            |of_map: &[usize]| of_map.iter().map(|&k| drives[k].keyframes.len()).sum::<usize>();
+        maps.sort_by_key(|(map, of_map)| (std::cmp::Reverse(n_keyframes(of_map)), *map));
+        maps.truncate(MAX_DRIVES);
+        for (map, of_map) in maps {
+            let mut poses = Vec::new();
+            for &k in &of_map {
+                for (index, keyframe) in drives[k].keyframes.iter().enumerate() {
+                    let id = ScanId { log: drives[k].log.into(), scan: keyframe.scan };
+                    self.in_maps.insert(id, [self.maps.len(), k, index]);
+                    poses.push(keyframe.optimized);
+                }
+            }
+            self.maps.push(MapSketch { map, drives: of_map, ground: Ground::new(&poses) });
+        }
     }
 
     /// Adds the scan of a keyframe. Scans that are not keyframes of the drives are ignored.
     pub fn add(&mut self, drives: &[Drive<'_>], id: &ScanId, scan: &Scan) {
+        if let Some(&[map, drive, keyframe]) = self.in_maps.get(id) {
+            let drive = &drives[drive];
+            let pose = drive.keyframes[keyframe].optimized * drive.base_from_lidar;
+            self.maps[map].ground.add(&pose, scan);
+        }
         let Some(&(sketch, keyframe)) = self.keyframes.get(id) else { return };
         let sketch = &mut self.drives[sketch];
         let drive = &drives[sketch.drive];
@@ -190,4 +235,50 @@ fn overlays(closures: &[FoundClosure<'_>]) -> Vec<Overlay> {
         })
     };
     chosen.into_iter().filter_map(overlay).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detection::KeyframePoses;
+
+    /// Two drives of one map, 1 m apart, see the same two points. Alone, each sees them once, which may be
+    /// noise. A third drive is in a map of its own.
+    #[test]
+    fn a_map_of_several_drives_is_drawn_from_all_their_scans() {
+        let keyframe = |x_m| KeyframePoses {
+            scan: 0,
+            stamp_ns: 0,
+            path_m: 0.0,
+            odometry: Pose2::default(),
+            scan_matched: Pose2::default(),
+            optimized: Pose2 { x_m, ..Pose2::default() },
+            covariance: None,
+        };
+        let keyframes = [[keyframe(0.0)], [keyframe(1.0)], [keyframe(0.0)]];
+        let drive = |k: usize, map| Drive {
+            log: ["monday", "tuesday", "other"][k],
+            segment: 0,
+            map: Some(map),
+            keyframes: &keyframes[k],
+            scans: &[],
+            candidates: &[],
+            closures: &[],
+            truth: None,
+            base_from_lidar: Pose2::default(),
+        };
+        let drives = [drive(0, 4), drive(1, 4), drive(2, 5)];
+        let mut sketches = ClosureSketches::new(&drives);
+        for (k, x_m) in [(0, 5.0), (1, 4.0), (2, 5.0)] {
+            let id = ScanId { log: drives[k].log.into(), scan: 0 };
+            let scan = Scan { x_m: vec![x_m; 2], y_m: vec![0.0, 2.0], ..Scan::default() };
+            sketches.add(&drives, &id, &scan);
+        }
+        let [map] = &sketches.maps[..] else { panic!("one map of several drives") };
+        assert_eq!((map.map, &map.drives[..]), (4, &[0, 1][..]));
+        let n_runs = |ground: &Ground| ground.svg("m", "", &[]).into_string().matches('h').count();
+        let empty = n_runs(&Ground::new(&[Pose2::default()]));
+        assert_eq!(n_runs(&map.ground), empty + 2);
+        assert_eq!(n_runs(&sketches.drives[0].after), empty);
+    }
 }

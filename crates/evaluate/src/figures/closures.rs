@@ -4,7 +4,7 @@ use dataset::Pose2;
 use maud::{Markup, html};
 
 use super::chart::{Axis, Chart, Series, ticks};
-use super::closure_sketches::{ClosureSketches, DriveSketch, Overlay};
+use super::closure_sketches::{ClosureSketches, DriveSketch, MapSketch, Overlay};
 use super::ground::Ground;
 use super::svg::{Figure, dots, px, round_length, thin_polyline};
 use crate::detection::{
@@ -32,6 +32,10 @@ pub fn closure_figures(
     sketches: &ClosureSketches,
 ) -> Vec<Figure> {
     let mut figures = Vec::new();
+    for (n, map) in (1..).zip(&sketches.maps) {
+        let id = format!("joined-{n}");
+        figures.push(Figure::new(&id, joined_map(&id, map, drives)));
+    }
     for sketch in &sketches.drives {
         let (drive, measures) = (&drives[sketch.drive], &measures[sketch.drive]);
         let n = sketch.drive + 1;
@@ -55,6 +59,18 @@ pub fn closure_figures(
 /// The id of the figure of an overlay.
 pub(crate) fn overlay_id(sketch: &DriveSketch, overlay: &Overlay) -> String {
     format!("{}-{}", overlay.kind.id(), sketch.drive + 1)
+}
+
+/// The scans of all drives of a map with their paths.
+fn joined_map(id: &str, map: &MapSketch, drives: &[Drive<'_>]) -> Markup {
+    let at = |keyframe: &KeyframePoses| map.ground.at(&keyframe.optimized);
+    let over = html! {
+        @for &k in &map.drives {
+            path class="path" d=(thin_polyline(drives[k].keyframes.iter().map(at), MIN_STEP)) {}
+        }
+    };
+    let text = format!("Map {} of {} drives by optimized poses", map.map, map.drives.len());
+    map.ground.svg_with(id, &text, &over)
 }
 
 /// The scans at some poses with the path and the closures.

@@ -6,6 +6,7 @@
 mod chart;
 mod closure_sketches;
 mod closures;
+mod compared_map;
 mod curves;
 mod first_rounds;
 mod ground;
@@ -22,6 +23,7 @@ pub use closure_sketches::ClosureSketches;
 pub(crate) use closure_sketches::{DriveSketch, Overlay};
 pub use closures::closure_figures;
 pub(crate) use closures::{drive_name, overlay_id, source_name};
+pub(crate) use compared_map::compared_maps;
 pub(crate) use path::path_caption;
 pub use path::path_svg;
 pub(crate) use sketches::PairKind;

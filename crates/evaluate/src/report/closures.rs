@@ -40,6 +40,14 @@ pub(super) fn section(
                 h3 { "Maps of several drives" }
                 (self::sites(sites))
             }
+            @if !sketches.maps.is_empty() {
+                div class="figures" { @for (n, map) in (1..).zip(&sketches.maps) {
+                    (figure(figures, &format!("joined-{n}"), &html! {
+                        b { "Map " (map.map) } ": " (names(map.drives.iter().map(|&k| &measures[k])))
+                        ", with the scans at the optimized poses."
+                    }))
+                } }
+            }
             @for sketch in &sketches.drives {
                 (drive(&drives[sketch.drive], &measures[sketch.drive], sketch, figures))
             }
@@ -53,6 +61,11 @@ pub(super) fn section(
             }
         }
     }
+}
+
+/// The names of drives.
+fn names<'a>(drives: impl Iterator<Item = &'a DriveMeasures>) -> String {
+    drives.map(drive_name).collect::<Vec<_>>().join(", ")
 }
 
 /// The result in one paragraph.

@@ -51,6 +51,11 @@ pub(super) fn warnings<'a>(losses: &Losses, notes: impl Iterator<Item = &'a Note
     }
 }
 
+/// Notes as a list, by code.
+pub(super) fn notes<'a>(notes: impl Iterator<Item = &'a Note>) -> Markup {
+    list(&by_code(note_messages(notes)))
+}
+
 fn list(groups: &[Group]) -> Markup {
     html! {
         ul { @for group in groups { li { (sentences(group)) " " code class="code" { (group.code) } } } }

@@ -1,6 +1,7 @@
 //! `report.html`: one file that opens offline and needs no script.
 
 mod closures;
+mod comparison;
 mod cross_validation;
 mod data;
 mod features;
@@ -15,8 +16,9 @@ use dataset::tables::Provenance;
 use dataset::{Keyframe, Losses, Note};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+use crate::comparison::{Comparison, MappedRun};
 use crate::detection::{Drive, DriveMeasures, SiteMeasures};
-use crate::figures::{ClosureSketches, Figure, STYLE, Sketches};
+use crate::figures::{ClosureSketches, Figure, STYLE, Sketches, compared_maps};
 use crate::{Evaluation, Input};
 
 /// A row of the table of inputs and options at the end of the report.
@@ -88,6 +90,19 @@ pub fn closure_report(
         (data::section(of.keyframes, of.losses, of.notes.iter(), (digests, options)))
     };
     page(name, &header, &main, provenance)
+}
+
+/// The differences of two runs as HTML, with their maps laid over each other. `runs` are those that were
+/// compared.
+pub fn comparison_report(
+    comparison: &Comparison,
+    runs: [MappedRun<'_>; 2],
+    provenance: &Provenance,
+) -> String {
+    let figures = compared_maps(comparison, runs);
+    let (header, main) =
+        (comparison::answer(comparison), comparison::section(comparison, &figures));
+    page("Comparison of two maps", &header, &main, provenance)
 }
 
 /// A page with its style sheet.

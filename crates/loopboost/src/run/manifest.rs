@@ -10,6 +10,7 @@ use anyhow::{Result, anyhow};
 use dataset::tables::{Provenance, write_file};
 use dataset::{Losses, Note};
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use crate::summary::Summary;
 
@@ -41,7 +42,7 @@ struct Versioned {
 pub(crate) struct Record {
     pub(crate) program_version: String,
     pub(crate) seed: u64,
-    pub(crate) options: serde_json::Value,
+    pub(crate) options: Value,
     /// Names and digests of what it read.
     pub(crate) inputs: BTreeMap<String, String>,
     /// Names and digests of what it wrote.
@@ -102,7 +103,7 @@ impl Record {
         if self.seed != now.seed {
             changes.push(format!("seed: {} -> {}", self.seed, now.seed));
         }
-        option_changes("", &self.options, &now.options, &mut changes);
+        changes.extend(self::changes(&self.options, &now.options));
         for (name, digest) in &now.inputs {
             match self.inputs.get(name) {
                 None => changes.push(format!("{name} is new")),
@@ -118,7 +119,13 @@ impl Record {
 }
 
 /// What differs between two JSON values, one entry per key.
-pub(crate) fn changes(before: &serde_json::Value, now: &serde_json::Value) -> Vec<String> {
+pub(crate) fn changes(before: &Value, now: &Value) -> Vec<String> {
+    let line = |(key, before, now): &(String, Value, Value)| format!("{key}: {before} -> {now}");
+    changed_values(before, now).iter().map(line).collect()
+}
+
+/// The keys whose values differ between two JSON values, with both values. A value that is missing is null.
+pub(crate) fn changed_values(before: &Value, now: &Value) -> Vec<(String, Value, Value)> {
     let mut changes = Vec::new();
     option_changes("", before, now, &mut changes);
     changes
@@ -126,11 +133,10 @@ pub(crate) fn changes(before: &serde_json::Value, now: &serde_json::Value) -> Ve
 
 fn option_changes(
     key: &str,
-    before: &serde_json::Value,
-    now: &serde_json::Value,
-    changes: &mut Vec<String>,
+    before: &Value,
+    now: &Value,
+    changes: &mut Vec<(String, Value, Value)>,
 ) {
-    use serde_json::Value;
     match (before, now) {
         (Value::Object(before), Value::Object(now)) => {
             let keys: std::collections::BTreeSet<&String> =
@@ -149,7 +155,9 @@ fn option_changes(
                 option_changes(&format!("{key}[{k}]"), &value(before), &value(now), changes);
             }
         }
-        (before, now) if before != now => changes.push(format!("{key}: {before} -> {now}")),
+        (before, now) if before != now => {
+            changes.push((key.to_owned(), before.clone(), now.clone()));
+        }
         _ => {}
     }
 }

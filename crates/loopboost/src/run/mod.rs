@@ -28,7 +28,7 @@ use crate::summary::Summary;
 use crate::used_model::UsedModel;
 
 pub(crate) use cache::missing_log;
-pub(crate) use manifest::{Manifest, changes};
+pub(crate) use manifest::{Manifest, changed_values, changes};
 pub(crate) use progress::progress_bar;
 
 use folder::RunFolder;
