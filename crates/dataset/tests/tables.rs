@@ -64,6 +64,7 @@ fn keyframes() -> Vec<Keyframe> {
             z_m: (k < 1).then_some(2.5),
             segment: 3 * k,
             frame: k,
+            map: None,
             travel_m: 0.5 * f64::from(k),
             coverage_deg: 359.9,
         })
@@ -154,6 +155,7 @@ fn poses_keyframes_pairs_and_features_are_read_as_written() {
             reference: 0,
             label: Label::Positive,
             distance_m: 1.0,
+            distance_std_m: Some(0.03),
             heading_difference_rad: Some(0.25),
             travel_gap_m: 0.5,
         },
@@ -162,6 +164,7 @@ fn poses_keyframes_pairs_and_features_are_read_as_written() {
             reference: 0,
             label: Label::Negative,
             distance_m: f64::INFINITY,
+            distance_std_m: None,
             heading_difference_rad: None,
             travel_gap_m: f64::INFINITY,
         },
@@ -191,6 +194,7 @@ fn scores_are_read_as_written() {
         reference: 0,
         label,
         distance_m: 1.0,
+        distance_std_m: None,
         heading_difference_rad: None,
         travel_gap_m: 0.5,
     };

@@ -39,15 +39,13 @@ fn options(positive_radius_m: f64, negative_min_m: f64, pairs_per_class: usize) 
 fn check(options: &Options, keyframes: &[Keyframe], counts: [u64; 5]) -> Vec<Pair> {
     let [positive, negative, ambiguous, short_travel_gap, without_common_frame] = counts;
     let Labelled { pairs, candidates: found, .. } = label(options, 7, keyframes).unwrap();
-    let (other_height, other_frame) = (0, 0);
     let expected = Candidates {
         positive,
         negative,
         ambiguous,
-        other_height,
         short_travel_gap,
-        other_frame,
         without_common_frame,
+        ..Candidates::default()
     };
     assert_eq!(found, expected);
     let n = keyframes.len() as u64;
