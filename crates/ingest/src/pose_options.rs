@@ -312,7 +312,9 @@ fn out_of_range(key: &str, found: f64, expected: &str) -> Result<(), PoseOptionE
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PoseOptionError {
     /// No source of poses is set, or several are.
-    #[error("`ingest.pose` sets {found}, expected one of `topic`, `frames`, `file`, `wheels` and `run`")]
+    #[error(
+        "`ingest.pose` sets {found}, expected one of `topic`, `frames`, `file`, `wheels` and `run`"
+    )]
     NotOneSource {
         /// What is set.
         found: String,

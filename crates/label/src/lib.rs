@@ -153,7 +153,7 @@ pub fn label_by_graph(
     let rules = Rules::with_graph(options, keyframes, graph);
     let mut labelled = draw(&rules, options, seed, keyframes)?;
     for of_query in labelled.pairs.chunk_by_mut(|a, b| a.query == b.query) {
-        let stds_m = graph.distance_stds_m(of_query[0].query);
+        let stds_m = graph.distance_stds_m(keyframes, of_query[0].query);
         for pair in of_query.iter_mut().filter(|pair| pair.heading_difference_rad.is_some()) {
             pair.distance_std_m = stds_m[pair.reference];
         }

@@ -60,7 +60,9 @@ impl<'a> Rules<'a> {
     /// The bits of the references whose label the graph cannot decide.
     fn undecided(&self, graph: &PoseGraph, query: usize) -> Vec<u64> {
         let mut bits = vec![0; query.div_ceil(64)];
-        for (reference, std_m) in graph.distance_stds_m(query).into_iter().enumerate() {
+        for (reference, std_m) in
+            graph.distance_stds_m(self.keyframes, query).into_iter().enumerate()
+        {
             let Some(std_m) = std_m.filter(|_| self.shares_frame(query, reference)) else {
                 continue;
             };

@@ -11,7 +11,11 @@ use crate::stage::Artifact;
 
 /// What the labels rest on: one sentence per source of poses, in the order of the logs. The notes are those of
 /// `label`, which describe maps.
-pub(crate) fn label_basis(run: &Run, keyframes: &[Keyframe], notes: &[Note]) -> Result<Vec<String>> {
+pub(crate) fn label_basis(
+    run: &Run,
+    keyframes: &[Keyframe],
+    notes: &[Note],
+) -> Result<Vec<String>> {
     let of_maps = notes.iter().filter(|note| {
         matches!(note.kind, NoteKind::LabelsFromMap { .. } | NoteKind::MapWithoutClosures { .. })
     });
@@ -40,8 +44,7 @@ pub(crate) fn label_basis(run: &Run, keyframes: &[Keyframe], notes: &[Note]) -> 
 fn described(pose: &PoseOptions) -> String {
     let topic = pose.topic.iter().map(|topic| format!("the poses of topic `{topic}`"));
     let frames = pose.frames.iter();
-    let frames =
-        frames.map(|of| format!("the transforms from `{}` to `{}`", of.parent, of.child));
+    let frames = frames.map(|of| format!("the transforms from `{}` to `{}`", of.parent, of.child));
     let file = pose.file.iter().map(|file| format!("the poses of the file `{file}`"));
     let wheels = pose.wheels.iter().map(|wheels| match &pose.imu {
         Some(imu) => format!("poses fused from `{}` and `{imu}`", wheels.topic),

@@ -25,8 +25,7 @@ pub(crate) fn compare_with_truth(
     let mut truth: Vec<Option<Keyframe>> = Vec::with_capacity(keyframes.len());
     for of_log in keyframes.chunk_by(|a, b| a.id.log == b.id.log) {
         let log: &Arc<str> = &of_log[0].id.log;
-        let (trajectory, _): (Trajectory, _) =
-            read_poses(&run.path_of_log(Artifact::Truth, log))?;
+        let (trajectory, _): (Trajectory, _) = read_poses(&run.path_of_log(Artifact::Truth, log))?;
         truth.extend(of_log.iter().map(|keyframe| at_truth(keyframe, &trajectory, max_gap_ns)));
     }
     let known: Vec<Keyframe> = truth.iter().flatten().cloned().collect();

@@ -51,7 +51,8 @@ impl<'a> MapRun<'a> {
                 ));
             }
         }
-        let (keyframes, _) = read_trajectory(&pose_run.folder.join(Artifact::Trajectory.pattern()))?;
+        let (keyframes, _) =
+            read_trajectory(&pose_run.folder.join(Artifact::Trajectory.pattern()))?;
         Ok(Some(Self { run: pose_run, manifest, keyframes }))
     }
 
@@ -97,8 +98,11 @@ impl<'a> MapRun<'a> {
         for path in &log.paths {
             let digest = run.digest(path)?;
             if !ingested.inputs.values().any(|known| *known == digest) {
-                let known: Vec<String> =
-                    ingested.inputs.iter().map(|(name, known)| format!("{name}: {known}")).collect();
+                let known: Vec<String> = ingested
+                    .inputs
+                    .iter()
+                    .map(|(name, known)| format!("{name}: {known}"))
+                    .collect();
                 return Err(anyhow!(
                     "{} is not the log `{}` of the run {folder}: its BLAKE3 digest is {digest}, expected one of the digests of the run ({}); use the same file, or make the run again",
                     path.display(),
@@ -125,7 +129,8 @@ impl<'a> MapRun<'a> {
         let (optimized, _) = read_poses(&path)?;
         let (headers, _) = read_scan_headers(&self.scans(log))?;
         let stamps: BTreeSet<i64> = headers.iter().map(|header| header.stamp_ns).collect();
-        if let Some(stray) = optimized.poses().iter().find(|pose| !stamps.contains(&pose.stamp_ns)) {
+        if let Some(stray) = optimized.poses().iter().find(|pose| !stamps.contains(&pose.stamp_ns))
+        {
             return Err(anyhow!(
                 "{} has a pose at {} ns, where log `{log}` has no scan; repeat the command that made the run",
                 path.display(),
@@ -260,7 +265,9 @@ impl<'a> Vertices<'a> {
         self.vertices.push(Vertex::default());
         let after = known.partition_point(|&(stamp_ns, ..)| stamp_ns <= keyframe.stamp_ns);
         let neighbours = after.checked_sub(1).map(|k| known[k]).zip(known.get(after));
-        let Some(((before_ns, before, a), &(after_ns, next, b))) = neighbours else { return vertex };
+        let Some(((before_ns, before, a), &(after_ns, next, b))) = neighbours else {
+            return vertex;
+        };
         let covariance = self.between.get(&(a, b)).copied();
         let Some(covariance) = covariance.filter(|_| before == next && before == keyframe.segment)
         else {

@@ -8,8 +8,8 @@ use dataset::tables::{
     write_trajectory,
 };
 use dataset::{
-    CandidateClosure, GraphEdge, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan, Scan,
-    ScanId, StampedPose, Subject, Trajectory,
+    CandidateClosure, GraphEdge, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan,
+    Scan, ScanId, StampedPose, Subject, Trajectory,
 };
 use model::{Detector, Model};
 use optimize::{
