@@ -215,11 +215,11 @@ codes! {
             n_near_limit: u64,
         } => "{} close to each other in the plane, but more than {max_height_difference_m} m apart in height: not used as positives; this leaves out {n_revisits_left_out} of {} revisits; {n_near_limit} of the positives differ by more than half of this height; if the robot drove on one floor only, its heights drift: raise `label.max_height_difference_m`",
             count(*n_pairs, "pair"), n_revisits + n_revisits_left_out;
-        /// Pairs were left out because a log has several coordinate frames.
+        /// Pairs were left out because a log has several coordinate frames, or a run has several maps of a site.
         Info "pairs_between_frames" PairsBetweenFrames {
             /// Pairs.
             n_pairs: u64,
-        } => "{} not used: the poses of at least one log are in several coordinate frames, and the position of one frame in another is not known", count(*n_pairs, "pair");
+        } => "{} not used: the poses of a log or a site are in several coordinate frames or maps, and the position of one frame in another is not known", count(*n_pairs, "pair");
         /// The poses of a map cannot decide the labels of some pairs.
         Info "undecided_pairs" UndecidedPairs {
             /// Pairs within the positive radius by less than two standard deviations.

@@ -175,7 +175,8 @@ pub struct Candidates {
     pub other_height: u64,
     /// Close enough, but with less than `min_travel_gap_m` of path in between; left out.
     pub short_travel_gap: u64,
-    /// From one site, but not from one coordinate frame: one of the logs has several; left out.
+    /// From one site, but not from one coordinate frame: one of the logs has several, or the poses are in two
+    /// maps of a run; left out.
     pub other_frame: u64,
     /// From two sites, which do not share a map frame; left out.
     pub without_common_frame: u64,
@@ -192,7 +193,7 @@ impl Candidates {
             ),
             (self.other_height, "at another height"),
             (self.short_travel_gap, "too close along the path"),
-            (self.other_frame, "in two coordinate frames of a log"),
+            (self.other_frame, "in two coordinate frames"),
             (self.without_common_frame, "without a common map frame"),
         ] {
             if 0 < n {

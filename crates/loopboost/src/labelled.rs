@@ -42,11 +42,7 @@ pub(crate) fn labelled_keyframes(run: &Run) -> Result<(Vec<Keyframe>, Vec<Note>)
 }
 
 /// The keyframe with its true pose, if that is known.
-pub(crate) fn at_truth(
-    keyframe: &Keyframe,
-    truth: &Trajectory,
-    max_gap_ns: i64,
-) -> Option<Keyframe> {
+fn at_truth(keyframe: &Keyframe, truth: &Trajectory, max_gap_ns: i64) -> Option<Keyframe> {
     let known = truth.stamped_pose_at(keyframe.stamp_ns, max_gap_ns).ok()?;
     Some(Keyframe {
         pose: known.pose,

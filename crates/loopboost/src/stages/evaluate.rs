@@ -24,8 +24,8 @@ use crate::summary::{RoundsError, Summary};
 /// Scores, closures -> evaluation/, report.html
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut task = run.task_of(Stage::Evaluate)?;
-    if !run.goal.detects() {
-        // Only trajectories are compared with the odometry at every scan.
+    if !run.goal.detects() && run.pose_run().is_none() {
+        // Only trajectories and the labels of a map are compared with poses at every scan.
         let folder = run.path("poses");
         task.inputs.retain(|input| !input.starts_with(&folder));
     }
