@@ -64,7 +64,7 @@ fn keyframes() -> Vec<Keyframe> {
             z_m: (k < 1).then_some(2.5),
             segment: 3 * k,
             frame: k,
-            map: None,
+            map: (k == 1).then_some(4),
             travel_m: 0.5 * f64::from(k),
             coverage_deg: 359.9,
         })
@@ -354,6 +354,6 @@ fn an_error_about_the_format_version_names_both_versions() {
     let of_provenance = read_provenance(&path).unwrap_err();
     for error in [of_rows, of_provenance] {
         let message = error.to_string();
-        assert!(message.contains("format version 99, this program reads version 5"), "{message}");
+        assert!(message.contains("format version 99, this program reads version 6"), "{message}");
     }
 }
