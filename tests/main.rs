@@ -24,6 +24,7 @@ mod made;
 mod made_clouds;
 mod made_packets;
 mod made_planar;
+mod map_labels;
 mod poses;
 mod real_logs;
 mod require;

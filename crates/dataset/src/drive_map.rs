@@ -107,6 +107,20 @@ pub struct MapPose {
     pub map: u32,
 }
 
+/// A measured relative pose of two scans: an edge of a pose graph.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GraphEdge {
+    /// The scan in whose frame the pose is.
+    pub reference: ScanId,
+    /// The scan whose pose it is.
+    pub query: ScanId,
+    /// Pose of the query in the frame of the reference.
+    pub reference_from_query: Pose2,
+    /// Covariance of x, y and heading of the query, in the frame of the query. The entries are the same as
+    /// in [`StampedPose::covariance`](crate::StampedPose::covariance).
+    pub covariance: [f64; 6],
+}
+
 impl JudgedClosure {
     /// Whether the closure was accepted.
     pub fn is_accepted(&self) -> bool {

@@ -9,13 +9,15 @@ use crate::Keyframe;
 ///
 /// The logs of a site share one frame. A log whose poses are in several frames (see
 /// [`StampedPose::frame`](crate::StampedPose::frame)) shares none of them with other logs, because
-/// it is not known which of them is the frame of the site.
+/// it is not known which of them is the frame of the site. Keyframes in a map of a finished run (see
+/// [`Keyframe::map`]) share a frame if they are in the same map, whatever their site.
 ///
 /// ```
 /// # use dataset::{Keyframe, Pose2, ScanId, common_frames};
 /// # let keyframe = |log: &str, frame| Keyframe {
 /// #     id: ScanId { log: log.into(), scan: 0 }, site: "campus".into(), stamp_ns: 0,
 /// #     pose: Pose2::default(), covariance: None, z_m: None, segment: frame, frame,
+/// #     map: None,
 /// #     travel_m: 0.0, coverage_deg: 360.0,
 /// # };
 /// // Log `b` has two frames.
@@ -32,9 +34,12 @@ pub fn common_frames(keyframes: &[Keyframe]) -> Vec<u32> {
         *has_several |= *first != keyframe.frame;
     }
     let name = |keyframe: &'_ Keyframe| {
+        if keyframe.map.is_some() {
+            return (keyframe.map, None, None);
+        }
         let has_several = first_frames[&*keyframe.id.log].1;
         let own = has_several.then(|| (keyframe.id.log.clone(), keyframe.frame));
-        (keyframe.site.clone(), own)
+        (None, Some(keyframe.site.clone()), own)
     };
     numbered(&keyframes.iter().map(name).collect::<Vec<_>>())
 }
@@ -105,6 +110,7 @@ mod tests {
             z_m,
             segment: 0,
             frame: 0,
+            map: None,
             travel_m: 0.0,
             coverage_deg: 360.0,
         }
@@ -133,6 +139,29 @@ mod tests {
         // In another frame, the same coordinates are other ground.
         let frames = [0, 0, 0, 1, 0, 0];
         assert_eq!(Squares::new(&keyframes, &frames, 5.0, 2.5).sizes.len(), 5);
+    }
+
+    /// Logs `a` and `b` are in map 0, although their sites differ. Log `c` of the site of `a` is in map 1,
+    /// and one of its segments in map 0. Log `d` of the same site is in no map.
+    #[test]
+    fn keyframes_of_one_map_share_a_frame_whatever_their_site() {
+        let of = |log: &str, site: &str, map| {
+            let mut keyframe = at(0.0, 0.0, None);
+            (keyframe.id.log, keyframe.site, keyframe.map) = (log.into(), site.into(), map);
+            keyframe.frame = map.unwrap_or_default();
+            keyframe
+        };
+        let keyframes = [
+            of("a", "s", Some(0)),
+            of("b", "t", Some(0)),
+            of("c", "s", Some(1)),
+            of("c", "s", Some(0)),
+            of("d", "s", None),
+        ];
+        let frames = common_frames(&keyframes);
+        assert_eq!((frames[0], frames[0]), (frames[1], frames[3]));
+        let distinct: std::collections::BTreeSet<u32> = frames.iter().copied().collect();
+        assert_eq!(distinct.len(), 3);
     }
 
     #[test]

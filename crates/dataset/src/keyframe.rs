@@ -33,6 +33,9 @@ pub struct Keyframe {
     /// Number of the coordinate frame within the log. See
     /// [`StampedPose::frame`](crate::StampedPose::frame).
     pub frame: u32,
+    /// Number of the map that the pose is in, if the poses are those of a finished run. Keyframes with the
+    /// same number share a frame, whatever their site; the others do not.
+    pub map: Option<u32>,
     /// Distance driven since the first keyframe of this log: the sum of the straight-line distances
     /// between consecutive keyframes \[m\].
     pub travel_m: f64,

@@ -53,7 +53,9 @@ pub mod tables;
 mod words;
 
 pub use codes::{Severity, Subject};
-pub use drive_map::{CandidateClosure, JudgedClosure, MapPose, RegisteredScan, ScanClosure};
+pub use drive_map::{
+    CandidateClosure, GraphEdge, JudgedClosure, MapPose, RegisteredScan, ScanClosure,
+};
 pub use ground::{Squares, common_frames};
 pub use keyframe::{Keyframe, ScanId};
 pub use loss_kind::LossKind;

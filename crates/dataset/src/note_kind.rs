@@ -215,11 +215,60 @@ codes! {
             n_near_limit: u64,
         } => "{} close to each other in the plane, but more than {max_height_difference_m} m apart in height: not used as positives; this leaves out {n_revisits_left_out} of {} revisits; {n_near_limit} of the positives differ by more than half of this height; if the robot drove on one floor only, its heights drift: raise `label.max_height_difference_m`",
             count(*n_pairs, "pair"), n_revisits + n_revisits_left_out;
-        /// Pairs were left out because a log has several coordinate frames.
+        /// Pairs were left out because a log has several coordinate frames, or a run has several maps of a site.
         Info "pairs_between_frames" PairsBetweenFrames {
             /// Pairs.
             n_pairs: u64,
-        } => "{} not used: the poses of at least one log are in several coordinate frames, and the position of one frame in another is not known", count(*n_pairs, "pair");
+        } => "{} not used: the poses of a log or a site are in several coordinate frames or maps, and the position of one frame in another is not known", count(*n_pairs, "pair");
+        /// The poses of a map cannot decide the labels of some pairs.
+        Info "undecided_pairs" UndecidedPairs {
+            /// Pairs within the positive radius by less than two standard deviations.
+            n_positive: u64,
+            /// Pairs beyond the negative radius by less than two standard deviations.
+            n_negative: u64,
+        } => "{} within the positive radius and {n_negative} beyond the negative radius by less than two standard deviations of their distance: not used", count(*n_positive, "pair");
+        /// The poses of a map cannot decide the labels of most pairs of a class.
+        Warning "poses_too_uncertain" PosesTooUncertain {
+            /// Pairs within the positive radius by less than two standard deviations.
+            n_positive: u64,
+            /// Pairs within the positive radius by more.
+            n_decided_positive: u64,
+            /// Pairs beyond the negative radius by less than two standard deviations.
+            n_negative: u64,
+            /// Pairs beyond the negative radius by more.
+            n_decided_negative: u64,
+        } => "the poses of the map are too uncertain to decide most labels: {n_positive} of {} positive pairs and {n_negative} of {} negative pairs are less than two standard deviations of their distance from the radius, and not used; a map with more closures decides more", n_positive + n_decided_positive, n_negative + n_decided_negative;
+        /// The labels rest on a map.
+        Info "labels_from_map" LabelsFromMap {
+            /// The run that made the map, as the pipeline names it.
+            run: String,
+            /// Number of the map in the run.
+            map: u32,
+            /// The logs with keyframes in the map.
+            logs: Vec<String>,
+            /// Accepted closures between scans of the map.
+            n_closures: u64,
+        } => "the labels of {} rest on map {map} of the run {run}, with {}", of_logs(logs), count(*n_closures, "closure");
+        /// A map that labels rest on has no closure.
+        Warning "map_without_closures" MapWithoutClosures {
+            /// The run that made the map, as the pipeline names it.
+            run: String,
+            /// Number of the map in the run.
+            map: u32,
+            /// The logs with keyframes in the map.
+            logs: Vec<String>,
+        } => "the labels of {} rest on map {map} of the run {run}, which has no closure: its poses drift, and there are no revisits in it to learn from", of_logs(logs);
+        /// Labels were compared with the ground truth.
+        Info "labels_compared" LabelsCompared {
+            /// Pairs with a true pose of both scans.
+            n_pairs: u64,
+            /// Pairs without.
+            n_without_truth: u64,
+            /// Pairs for which the ground truth gives the other label, or none.
+            n_wrong: u64,
+            /// Pairs for which the ground truth gives the other label.
+            n_opposite: u64,
+        } => "{n_wrong} of {} differ from the labels by the ground truth ({:.2} %), {n_opposite} of them are of the other class, the others between the two radii", count(*n_pairs, "label"), 100.0 * *n_wrong as f64 / (*n_pairs).max(1) as f64;
         /// Two logs have the same scans at the same poses.
         Warning "same_scans_in_two_logs" SameScansInTwoLogs {
             /// The other log.

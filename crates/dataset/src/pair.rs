@@ -45,10 +45,12 @@ pub struct Pair {
     pub reference: usize,
     /// The label.
     pub label: Label,
-    /// Distance between the positions \[m\]; infinite if the sites differ, because they do not
-    /// share a map frame.
+    /// Distance between the positions \[m\]; infinite if they do not share a map frame.
     pub distance_m: f64,
-    /// Unsigned angle between the headings \[rad\]; `None` if the sites differ.
+    /// Bound of the standard deviation of the distance \[m\], if the poses are those of a finished run.
+    pub distance_std_m: Option<f64>,
+    /// Unsigned angle between the headings \[rad\]; `None` if they do not share a map
+    /// frame.
     pub heading_difference_rad: Option<f64>,
     /// Distance driven between the two keyframes \[m\]; infinite if the logs differ.
     pub travel_gap_m: f64,

@@ -64,6 +64,7 @@ fn keyframes() -> Vec<Keyframe> {
             z_m: (k < 1).then_some(2.5),
             segment: 3 * k,
             frame: k,
+            map: (k == 1).then_some(4),
             travel_m: 0.5 * f64::from(k),
             coverage_deg: 359.9,
         })
@@ -154,6 +155,7 @@ fn poses_keyframes_pairs_and_features_are_read_as_written() {
             reference: 0,
             label: Label::Positive,
             distance_m: 1.0,
+            distance_std_m: Some(0.03),
             heading_difference_rad: Some(0.25),
             travel_gap_m: 0.5,
         },
@@ -162,6 +164,7 @@ fn poses_keyframes_pairs_and_features_are_read_as_written() {
             reference: 0,
             label: Label::Negative,
             distance_m: f64::INFINITY,
+            distance_std_m: None,
             heading_difference_rad: None,
             travel_gap_m: f64::INFINITY,
         },
@@ -191,6 +194,7 @@ fn scores_are_read_as_written() {
         reference: 0,
         label,
         distance_m: 1.0,
+        distance_std_m: None,
         heading_difference_rad: None,
         travel_gap_m: 0.5,
     };
@@ -350,6 +354,6 @@ fn an_error_about_the_format_version_names_both_versions() {
     let of_provenance = read_provenance(&path).unwrap_err();
     for error in [of_rows, of_provenance] {
         let message = error.to_string();
-        assert!(message.contains("format version 99, this program reads version 5"), "{message}");
+        assert!(message.contains("format version 99, this program reads version 6"), "{message}");
     }
 }

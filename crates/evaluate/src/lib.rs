@@ -67,6 +67,8 @@ pub struct Input<'a> {
     pub keyframes: &'a [Keyframe],
     /// The labelled pairs.
     pub pairs: &'a [Pair],
+    /// What the labels rest on, one sentence per source of poses.
+    pub label_basis: &'a [String],
     /// Width of a place for the spread of the pairs \[m\].
     pub place_m: f64,
     /// Height of a place for the spread of the pairs, where keyframes have a height \[m\].

@@ -28,6 +28,7 @@
 //!     reference: 0,
 //!     label,
 //!     distance_m: 1.0,
+//!     distance_std_m: None,
 //!     heading_difference_rad: None,
 //!     travel_gap_m: 1.0,
 //! };

@@ -91,6 +91,7 @@ fn keyframe(log: &str, k: usize) -> Keyframe {
         z_m: None,
         segment: 0,
         frame: 0,
+        map: None,
         travel_m: k as f64,
         coverage_deg: 360.0,
     }

@@ -10,7 +10,8 @@ use crate::wheel_options::{WheelSpeedUnit, WheelsTopic};
 /// Where poses come from: the section `[ingest.pose]`.
 ///
 /// Set one of `topic` (a topic with poses), `frames` (two frames connected by transforms), `file` (a
-/// trajectory from another program) and `wheels` (with `imu`: poses are fused).
+/// trajectory from another program), `wheels` (with `imu`: poses are fused) and `run` (the map of a finished
+/// run).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -38,6 +39,11 @@ pub struct PoseOptions {
     pub file: Option<String>,
     /// Unit of the stamps in `file`: `s`, `ms`, `us` or `ns`.
     pub file_time_unit: TimeUnit,
+    /// Folder of a finished run that found loop closures in the same logs. Its optimized poses are used, and
+    /// its scans. Logs in one map of the run share a frame, whatever their `site`. The path is relative to
+    /// the pipeline file. All logs with this key name the same run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub run: Option<String>,
     /// Origin of the map frame for satellite fixes. Without it, the first fix of the log is the origin
     /// of a map frame of this log alone.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -91,6 +97,7 @@ impl Default for PoseOptions {
             frames: None,
             file: None,
             file_time_unit: TimeUnit::S,
+            run: None,
             origin: None,
             max_speed_m_s: 15.0,
             jumps: Jumps::NewFrame,
@@ -203,6 +210,7 @@ impl PoseOptions {
             ("frames", self.frames.is_some()),
             ("file", self.file.is_some()),
             ("wheels", self.wheels.is_some()),
+            ("run", self.run.is_some()),
         ];
         let set: Vec<_> = sources.into_iter().filter(|(_, is_set)| *is_set).map(|s| s.0).collect();
         let &[used] = set.as_slice() else {
@@ -304,7 +312,9 @@ fn out_of_range(key: &str, found: f64, expected: &str) -> Result<(), PoseOptionE
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PoseOptionError {
     /// No source of poses is set, or several are.
-    #[error("`ingest.pose` sets {found}, expected one of `topic`, `frames`, `file` and `wheels`")]
+    #[error(
+        "`ingest.pose` sets {found}, expected one of `topic`, `frames`, `file`, `wheels` and `run`"
+    )]
     NotOneSource {
         /// What is set.
         found: String,

@@ -25,6 +25,7 @@
 //!         z_m: None,
 //!         segment: 0,
 //!         frame: 0,
+//!         map: None,
 //!         travel_m: x_m,
 //!         coverage_deg: 360.0,
 //!     })
@@ -44,6 +45,7 @@ mod folds;
 mod options;
 mod rules;
 mod spread;
+mod uncertainty;
 
 use dataset::{Keyframe, Label, Note, NoteKind, OutOfRange, Pair, Squares};
 use rayon::prelude::*;
@@ -51,6 +53,7 @@ use rayon::prelude::*;
 pub use folds::{FoldOptions, Folds, Grouping, assign_folds};
 pub use options::Options;
 pub use rules::{Candidates, Rules};
+pub use uncertainty::{ALIGNMENT_STD_M, Measurement, PoseGraph, Vertex};
 
 use draw::{Draw, keyframe_hash, pair_key};
 use rules::{Heights, Kind, Tally, travel_gap_m};
@@ -135,7 +138,36 @@ pub enum LabelError {
 /// Fails when an option is out of range or a class has too few candidates.
 pub fn label(options: &Options, seed: u64, keyframes: &[Keyframe]) -> Result<Labelled, LabelError> {
     options.check()?;
-    let rules = Rules::new(options, keyframes);
+    draw(&Rules::new(options, keyframes), options, seed, keyframes)
+}
+
+/// As [`label`], with poses that rest on measurements. Pairs whose label the poses cannot decide are left
+/// out: their distance is less than two standard deviations from the radius of their class.
+pub fn label_by_graph(
+    options: &Options,
+    seed: u64,
+    keyframes: &[Keyframe],
+    graph: &PoseGraph,
+) -> Result<Labelled, LabelError> {
+    options.check()?;
+    let rules = Rules::with_graph(options, keyframes, graph);
+    let mut labelled = draw(&rules, options, seed, keyframes)?;
+    for of_query in labelled.pairs.chunk_by_mut(|a, b| a.query == b.query) {
+        let stds_m = graph.distance_stds_m(keyframes, of_query[0].query);
+        for pair in of_query.iter_mut().filter(|pair| pair.heading_difference_rad.is_some()) {
+            pair.distance_std_m = stds_m[pair.reference];
+        }
+    }
+    labelled.notes.extend(undecided_note(labelled.candidates));
+    Ok(labelled)
+}
+
+fn draw(
+    rules: &Rules<'_>,
+    options: &Options,
+    seed: u64,
+    keyframes: &[Keyframe],
+) -> Result<Labelled, LabelError> {
     let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
     let wanted = options.pairs_per_class;
     let start = || (Tally::default(), Draw::new(wanted), Draw::new(wanted));
@@ -146,7 +178,7 @@ pub fn label(options: &Options, seed: u64, keyframes: &[Keyframe]) -> Result<Lab
             for reference in 0..query {
                 let key = || (pair_key(hashes[query], hashes[reference]), query, reference);
                 let kind = rules.kind(query, reference);
-                tally.add(&rules, &kind, query, reference);
+                tally.add(rules, &kind, query, reference);
                 match kind {
                     Kind::Labelled(Label::Positive) => positive.offer(key()),
                     Kind::Labelled(Label::Negative) => negative.offer(key()),
@@ -161,12 +193,12 @@ pub fn label(options: &Options, seed: u64, keyframes: &[Keyframe]) -> Result<Lab
     check_enough(options, keyframes, candidates)?;
     let (width_m, layer_m) = (options.place_m, options.max_height_difference_m);
     let squares = Squares::new(keyframes, rules.frames(), width_m, layer_m);
-    let of_all = Candidate { rules: &rules, hashes: &hashes, squares: &squares };
+    let of_all = Candidate { rules, hashes: &hashes, squares: &squares };
     let mut pairs: Vec<Pair> = Vec::with_capacity(2 * wanted);
     let mut notes = Vec::new();
     for (label, drawn) in [(Label::Positive, positive), (Label::Negative, negative)] {
         let spread = spread::limit(&of_all, options, keyframes, label, drawn.into_pairs());
-        pairs.extend(spread.pairs.into_iter().map(|ends| pair(keyframes, label, ends)));
+        pairs.extend(spread.pairs.into_iter().map(|ends| pair(rules, keyframes, label, ends)));
         notes.extend(spread.note);
     }
     pairs.sort_by_key(|pair| (pair.query, pair.reference));
@@ -176,14 +208,20 @@ pub fn label(options: &Options, seed: u64, keyframes: &[Keyframe]) -> Result<Lab
     Ok(Labelled { pairs, candidates, notes })
 }
 
-fn pair(keyframes: &[Keyframe], label: Label, (query, reference): (usize, usize)) -> Pair {
+fn pair(
+    rules: &Rules<'_>,
+    keyframes: &[Keyframe],
+    label: Label,
+    (query, reference): (usize, usize),
+) -> Pair {
     let (a, b) = (&keyframes[query], &keyframes[reference]);
-    let shares_frame = a.site == b.site;
+    let shares_frame = rules.shares_frame(query, reference);
     Pair {
         query,
         reference,
         label,
         distance_m: if shares_frame { a.pose.distance_m(&b.pose) } else { f64::INFINITY },
+        distance_std_m: None,
         heading_difference_rad: shares_frame.then(|| a.pose.heading_difference_rad(&b.pose)),
         travel_gap_m: travel_gap_m(a, b),
     }
@@ -221,6 +259,26 @@ fn height_note(options: &Options, candidates: Candidates, heights: Heights) -> O
     }))
 }
 
+/// What the uncertainty of the distances left out, as a warning if it is most of a class.
+fn undecided_note(candidates: Candidates) -> Option<Note> {
+    let Candidates { positive, negative, undecided_positive, undecided_negative, .. } = candidates;
+    if undecided_positive + undecided_negative == 0 {
+        return None;
+    }
+    Some(Note::from(match positive < undecided_positive || negative < undecided_negative {
+        false => NoteKind::UndecidedPairs {
+            n_positive: undecided_positive,
+            n_negative: undecided_negative,
+        },
+        true => NoteKind::PosesTooUncertain {
+            n_positive: undecided_positive,
+            n_decided_positive: positive,
+            n_negative: undecided_negative,
+            n_decided_negative: negative,
+        },
+    }))
+}
+
 fn frame_note(candidates: Candidates) -> Option<Note> {
     let n_pairs = candidates.other_frame;
     (0 < n_pairs).then(|| NoteKind::PairsBetweenFrames { n_pairs }.into())
@@ -245,6 +303,11 @@ fn check_enough(
         );
         if 0 < candidates.other_height {
             remedies.push("if the heights drift, raise `label.max_height_difference_m`");
+        }
+        if 0 < candidates.undecided_positive {
+            remedies.push(
+                "the poses of the map are too uncertain for some positive pairs: a map with more closures decides more of them",
+            );
         }
         if 0 < candidates.other_frame {
             remedies.push(

@@ -3,9 +3,11 @@
 use std::sync::Arc;
 
 use dataset::{FULL_RING_DEG, Keyframe, Label, NEIGHBOUR_GAP_M, common_frames};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::Options;
+use crate::uncertainty::PoseGraph;
 
 /// The label rules for the keyframes of a run.
 #[derive(Debug, Clone)]
@@ -14,12 +16,21 @@ pub struct Rules<'a> {
     keyframes: &'a [Keyframe],
     /// The frame of each keyframe, see [`common_frames`].
     frames: Vec<u32>,
+    /// The pairs whose label the poses cannot decide: for each query a bit per reference,
+    /// `(n_keyframes, n / 64)`. Empty if the uncertainty of the distances is not known.
+    undecided: Vec<Vec<u64>>,
 }
+
+/// The label of a pair is decided if its distance is farther from the radius than so many standard
+/// deviations. With a normal error, 2.3 % of the pairs exactly at this distance are on the other side.
+pub(crate) const DECIDED_STDS: f64 = 2.0;
 
 /// The outcome of the rules for a pair of keyframes.
 pub(crate) enum Kind {
     Labelled(Label),
     Ambiguous,
+    /// The uncertainty of the distance allows another label.
+    Undecided(Label),
     OtherHeight,
     ShortTravelGap,
     OtherFrame,
@@ -29,7 +40,51 @@ pub(crate) enum Kind {
 impl<'a> Rules<'a> {
     /// The rules of some options. The options must be in range.
     pub fn new(options: &'a Options, keyframes: &'a [Keyframe]) -> Self {
-        Self { options, keyframes, frames: common_frames(keyframes) }
+        Self { options, keyframes, frames: common_frames(keyframes), undecided: Vec::new() }
+    }
+
+    /// As [`Rules::new`], but a pair has a label only if its distance is clearly within the positive radius, or
+    /// clearly beyond the negative one: by [`DECIDED_STDS`] standard deviations.
+    pub(crate) fn with_graph(
+        options: &'a Options,
+        keyframes: &'a [Keyframe],
+        graph: &PoseGraph,
+    ) -> Self {
+        let rules = Self::new(options, keyframes);
+        let undecided =
+            (0..keyframes.len()).into_par_iter().map(|query| rules.undecided(graph, query));
+        let undecided = undecided.collect();
+        Self { undecided, ..rules }
+    }
+
+    /// The bits of the references whose label the graph cannot decide.
+    fn undecided(&self, graph: &PoseGraph, query: usize) -> Vec<u64> {
+        let mut bits = vec![0; query.div_ceil(64)];
+        for (reference, std_m) in
+            graph.distance_stds_m(self.keyframes, query).into_iter().enumerate()
+        {
+            let Some(std_m) = std_m.filter(|_| self.shares_frame(query, reference)) else {
+                continue;
+            };
+            let [a, b] = [query, reference].map(|k| &self.keyframes[k].pose);
+            let distance_m = a.distance_m(b);
+            let margin_m = match self.kind_by_distance(query, reference) {
+                Kind::Labelled(Label::Negative) => distance_m - self.options.negative_min_m,
+                Kind::Labelled(Label::Positive) | Kind::ShortTravelGap => {
+                    self.options.positive_radius_m - distance_m
+                }
+                _ => continue,
+            };
+            if margin_m < DECIDED_STDS * std_m {
+                bits[reference / 64] |= 1 << (reference % 64);
+            }
+        }
+        bits
+    }
+
+    fn is_undecided(&self, query: usize, reference: usize) -> bool {
+        let bits = self.undecided.get(query);
+        bits.is_some_and(|bits| bits[reference / 64] & (1 << (reference % 64)) != 0)
     }
 
     /// The label of a pair of keyframes, without the limit on the path length; the caller decides
@@ -39,9 +94,11 @@ impl<'a> Rules<'a> {
         match self.kind(query, reference) {
             Kind::Labelled(label) => Some(label),
             Kind::ShortTravelGap => Some(Label::Positive),
-            Kind::Ambiguous | Kind::OtherHeight | Kind::OtherFrame | Kind::WithoutCommonFrame => {
-                None
-            }
+            Kind::Ambiguous
+            | Kind::Undecided(_)
+            | Kind::OtherHeight
+            | Kind::OtherFrame
+            | Kind::WithoutCommonFrame => None,
         }
     }
 
@@ -57,7 +114,16 @@ impl<'a> Rules<'a> {
 
     #[inline]
     pub(crate) fn kind(&self, query: usize, reference: usize) -> Kind {
-        let Self { options, keyframes, frames } = self;
+        match self.kind_by_distance(query, reference) {
+            Kind::Labelled(label) if self.is_undecided(query, reference) => Kind::Undecided(label),
+            kind => kind,
+        }
+    }
+
+    /// The kind of a pair with a distance that is exact.
+    #[inline]
+    fn kind_by_distance(&self, query: usize, reference: usize) -> Kind {
+        let Self { options, keyframes, frames, .. } = self;
         let (a, b) = (&keyframes[query], &keyframes[reference]);
         if frames[query] != frames[reference] {
             return if same_name(&a.site, &b.site) {
@@ -98,12 +164,19 @@ pub struct Candidates {
     pub negative: u64,
     /// Neither positive nor negative, by distance or heading; left out.
     pub ambiguous: u64,
+    /// Positive by the distance, but the uncertainty of the distance allows more than
+    /// `positive_radius_m`; left out.
+    pub undecided_positive: u64,
+    /// Negative by the distance, but the uncertainty of the distance allows `negative_min_m` or less;
+    /// left out.
+    pub undecided_negative: u64,
     /// Close enough in the plane, but more than `max_height_difference_m` apart in height; left
     /// out.
     pub other_height: u64,
     /// Close enough, but with less than `min_travel_gap_m` of path in between; left out.
     pub short_travel_gap: u64,
-    /// From one site, but not from one coordinate frame: one of the logs has several; left out.
+    /// From one site, but not from one coordinate frame: one of the logs has several, or the poses are in two
+    /// maps of a run; left out.
     pub other_frame: u64,
     /// From two sites, which do not share a map frame; left out.
     pub without_common_frame: u64,
@@ -114,9 +187,13 @@ impl Candidates {
     pub fn left_out(&self) -> String {
         let mut text = format!("not used: {} ambiguous", self.ambiguous);
         for (n, reason) in [
+            (
+                self.undecided_positive + self.undecided_negative,
+                "with a label that the poses cannot decide",
+            ),
             (self.other_height, "at another height"),
             (self.short_travel_gap, "too close along the path"),
-            (self.other_frame, "in two coordinate frames of a log"),
+            (self.other_frame, "in two coordinate frames"),
             (self.without_common_frame, "without a common map frame"),
         ] {
             if 0 < n {
@@ -154,6 +231,8 @@ impl Tally {
             Kind::Labelled(Label::Positive) => &mut of.positive,
             Kind::Labelled(Label::Negative) => &mut of.negative,
             Kind::Ambiguous => &mut of.ambiguous,
+            Kind::Undecided(Label::Positive) => &mut of.undecided_positive,
+            Kind::Undecided(Label::Negative) => &mut of.undecided_negative,
             Kind::OtherHeight => &mut of.other_height,
             Kind::ShortTravelGap => &mut of.short_travel_gap,
             Kind::OtherFrame => &mut of.other_frame,
@@ -187,6 +266,8 @@ impl Tally {
                 positive: a.positive + b.positive,
                 negative: a.negative + b.negative,
                 ambiguous: a.ambiguous + b.ambiguous,
+                undecided_positive: a.undecided_positive + b.undecided_positive,
+                undecided_negative: a.undecided_negative + b.undecided_negative,
                 other_height: a.other_height + b.other_height,
                 short_travel_gap: a.short_travel_gap + b.short_travel_gap,
                 other_frame: a.other_frame + b.other_frame,

@@ -8,9 +8,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::PI;
 
 use common::{at, line};
-use dataset::{Keyframe, Label, Pair, ScanId};
+use dataset::{Keyframe, Label, Pair, Pose2, ScanId};
 use label::{
-    Candidates, FoldOptions, Grouping, LabelError, Labelled, Options, assign_folds, label,
+    ALIGNMENT_STD_M, Candidates, FoldOptions, Grouping, LabelError, Labelled, Measurement, Options,
+    PoseGraph, Vertex, assign_folds, label, label_by_graph,
 };
 
 /// Three logs of one site, each with 5 by 5 positions 1 m apart. The first two logs overlap, the
@@ -39,15 +40,13 @@ fn options(positive_radius_m: f64, negative_min_m: f64, pairs_per_class: usize) 
 fn check(options: &Options, keyframes: &[Keyframe], counts: [u64; 5]) -> Vec<Pair> {
     let [positive, negative, ambiguous, short_travel_gap, without_common_frame] = counts;
     let Labelled { pairs, candidates: found, .. } = label(options, 7, keyframes).unwrap();
-    let (other_height, other_frame) = (0, 0);
     let expected = Candidates {
         positive,
         negative,
         ambiguous,
-        other_height,
         short_travel_gap,
-        other_frame,
         without_common_frame,
+        ..Candidates::default()
     };
     assert_eq!(found, expected);
     let n = keyframes.len() as u64;
@@ -473,4 +472,74 @@ fn one_log_cannot_be_held_out() {
         &[],
     );
     assert!(error.unwrap_err().to_string().contains("`evaluate.place_m` is 0"));
+}
+
+/// Logs `a` and `b` are in one map, although their sites differ, and `c` of the site of `a` is in another one. The
+/// pairs of `a` and `b` are labelled, with a distance; those with `c` are not.
+#[test]
+fn logs_of_one_map_share_a_frame_and_those_of_two_maps_do_not() {
+    let in_map = |log: &str, site: &str, map, scan, x_m| Keyframe {
+        site: site.into(),
+        map: Some(map),
+        frame: map,
+        ..at(log, scan, x_m, 0.0)
+    };
+    let keyframes = [
+        in_map("a", "north", 0, 0, 0.0),
+        in_map("b", "south", 0, 0, 1.0),
+        in_map("b", "south", 0, 1, 60.0),
+        in_map("c", "north", 1, 0, 0.0),
+        in_map("c", "north", 1, 1, 60.0),
+    ];
+    let Labelled { pairs, candidates, .. } = label(&options(1.5, 50.0, 1), 7, &keyframes).unwrap();
+    // Positive: a0 b0. Negative: a0 b1, b0 b1, c0 c1.
+    assert_eq!((candidates.positive, candidates.negative), (1, 3));
+    assert_eq!((candidates.other_frame, candidates.without_common_frame), (2, 4));
+    let positive = pairs.iter().find(|pair| pair.label == Label::Positive).unwrap();
+    assert_eq!((positive.query, positive.reference, positive.distance_m), (1, 0, 1.0));
+    assert_eq!(positive.heading_difference_rad, Some(0.0));
+    // With `cross_site_negatives`, pairs of two maps are negative if their sites differ.
+    let across = Options { cross_site_negatives: true, ..options(1.5, 50.0, 1) };
+    let candidates = label(&across, 7, &keyframes).unwrap().candidates;
+    assert_eq!((candidates.positive, candidates.negative), (1, 7));
+}
+
+/// Keyframes on a line, with a standard deviation of 0.2 m between neighbours. With a radius of 1.5 m, a distance of
+/// 1.0 m is decided (1.0 + 2 * 0.2 < 1.5), and one of 1.2 m is not. Over two steps, the standard deviation
+/// is 0.28 m: 5.4 m is not clearly beyond 5 m, and 5.7 m is.
+#[test]
+fn a_pair_that_the_poses_cannot_decide_has_no_label() {
+    let keyframes: Vec<Keyframe> = line(&[0.0, 1.0, 5.4, 6.6, 11.1])
+        .into_iter()
+        .map(|keyframe| Keyframe { map: Some(0), ..keyframe })
+        .collect();
+    let measurements: Vec<Measurement> = (0..4)
+        .map(|a| Measurement {
+            a,
+            b: a + 1,
+            a_from_b: Pose2 {
+                x_m: keyframes[a + 1].pose.x_m - keyframes[a].pose.x_m,
+                ..Pose2::default()
+            },
+            covariance: [0.04, 0.0, 0.0, 0.0, 0.0, 0.0],
+        })
+        .collect();
+    let graph = PoseGraph::new(&[Vertex::default(); 5], &measurements, (0..5).map(Some).collect());
+    let Labelled { pairs, candidates, notes } =
+        label_by_graph(&options(1.5, 5.0, 1), 7, &keyframes, &graph).unwrap();
+    // 1.0 m; not 1.2 m.
+    assert_eq!((candidates.positive, candidates.undecided_positive), (1, 1));
+    // 5.6, 6.6, 10.1 and 11.1 m over 2 to 4 steps; 5.4 and 5.7 m over 2 steps; 4.4 and 4.5 m are ambiguous.
+    let stds_m = |steps: f64| (0.04 * steps + 2.0 * ALIGNMENT_STD_M * ALIGNMENT_STD_M).sqrt();
+    let is_decided = |metres: f64, steps: f64| 5.0 <= metres - 2.0 * stds_m(steps);
+    assert!(!is_decided(5.4, 2.0) && is_decided(5.7, 2.0));
+    let decided = [(5.4, 2.0), (6.6, 3.0), (11.1, 4.0), (5.6, 2.0), (10.1, 3.0), (5.7, 2.0)];
+    let n_decided = decided.iter().filter(|&&(metres, steps)| is_decided(metres, steps)).count();
+    assert_eq!(candidates.negative, n_decided as u64);
+    assert_eq!(candidates.negative + candidates.undecided_negative, 6);
+    assert!(0 < candidates.undecided_negative && 0 < n_decided);
+    let positive = pairs.iter().find(|pair| pair.label == Label::Positive).unwrap();
+    let std_m = positive.distance_std_m.unwrap();
+    assert!((std_m - stds_m(1.0)).abs() < 1e-12, "{std_m}");
+    assert!(notes.iter().any(|note| note.kind.code() == "undecided_pairs"), "{notes:?}");
 }

@@ -226,6 +226,7 @@ fn pairs(ends: &[(usize, usize)]) -> Vec<Pair> {
         reference,
         label: Label::Positive,
         distance_m: 1.0,
+        distance_std_m: None,
         heading_difference_rad: None,
         travel_gap_m: 100.0,
     };

@@ -200,6 +200,11 @@ impl EvaluateSection {
         evaluate.check()?;
         if let Some(truth) = &self.truth {
             truth.check().context("`evaluate.truth` has the options of `ingest.pose`")?;
+            if truth.run.is_some() {
+                return Err(anyhow!(
+                    "`evaluate.truth` sets `run`, but the map of a run is an estimate, and not ground truth; use a topic, transforms or a file of another source of poses"
+                ));
+            }
         }
         Ok(())
     }
@@ -315,6 +320,11 @@ impl Config {
         check_register(&self.register)?;
         self.detection().check()?;
         self.train.check()?;
+        if self.train.learners.is_empty() && self.detect.is_none() {
+            return Err(anyhow!(
+                "`train.learners` is [], expected at least one learner, or a section [detect] for a run that only finds loop closures"
+            ));
+        }
         self.evaluate.check(&self.label)?;
         for log in self.ingest.log.keys() {
             self.for_log(log)?;
@@ -361,7 +371,7 @@ fn apply_override(table: &mut Table, text: &str) -> Result<()> {
 
 /// Poses have one source: a new source replaces the old one.
 fn remove_other_sources(pose: &mut Table, over: &Table) {
-    const SOURCES: [&str; 4] = ["topic", "frames", "file", "wheels"];
+    const SOURCES: [&str; 5] = ["topic", "frames", "file", "wheels", "run"];
     let Some(source) = SOURCES.into_iter().find(|source| over.contains_key(*source)) else {
         return;
     };

@@ -19,12 +19,13 @@ pub(crate) struct Goal {
 }
 
 impl Goal {
-    /// A run that trains. It also finds loop closures if the pipeline has the section `[detect]`.
+    /// A run that trains, unless the pipeline lists no learners. It also finds loop closures if the pipeline has
+    /// the section `[detect]`.
     pub(crate) fn train(config: &Config) -> Self {
         Self {
-            trains: true,
+            trains: !config.train.learners.is_empty(),
             detects: config.detect.is_some(),
-            has_features: true,
+            has_features: !config.train.learners.is_empty(),
             has_truth: config.evaluate.truth.is_some(),
             simulates: config.simulate.is_some(),
         }

@@ -154,6 +154,7 @@ mod tests {
                 stamp_ns: i64::from(k) * 1_000_000_000,
                 pose: Pose2 { x_m, y_m, heading_rad: angle },
                 covariance: None,
+                map: None,
                 travel_m: f64::from(k) * 0.5,
                 coverage_deg,
                 z_m: None,

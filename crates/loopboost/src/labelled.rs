@@ -13,7 +13,8 @@ use crate::stage::Artifact;
 /// The keyframes that pairs are made of, and remarks about them.
 ///
 /// If the pipeline names the ground truth, pairs are labelled by it: the poses of `ingest.pose` may
-/// drift. Keyframes without a true pose are left out.
+/// drift. Keyframes without a true pose are left out. Logs in the map of a finished run are labelled by the
+/// map, and the ground truth is only compared with their labels.
 pub(crate) fn labelled_keyframes(run: &Run) -> Result<(Vec<Keyframe>, Vec<Note>)> {
     let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
     if !run.goal.has(Artifact::Truth) {
@@ -23,6 +24,10 @@ pub(crate) fn labelled_keyframes(run: &Run) -> Result<(Vec<Keyframe>, Vec<Note>)
     let (mut labelled, mut notes) = (Vec::new(), Vec::new());
     for of_log in keyframes.chunk_by(|a, b| a.id.log == b.id.log) {
         let log: &Arc<str> = &of_log[0].id.log;
+        if of_log[0].map.is_some() {
+            labelled.extend_from_slice(of_log);
+            continue;
+        }
         let (truth, _) = read_poses(&run.path_of_log(Artifact::Truth, log))?;
         let before = labelled.len();
         labelled
@@ -45,6 +50,7 @@ fn at_truth(keyframe: &Keyframe, truth: &Trajectory, max_gap_ns: i64) -> Option<
         z_m: known.z_m,
         segment: known.segment,
         frame: known.frame,
+        map: None,
         ..keyframe.clone()
     })
 }
@@ -80,6 +86,7 @@ mod tests {
             z_m: None,
             segment: 0,
             frame: 0,
+            map: None,
             travel_m: f64::from(scan),
             coverage_deg: 360.0,
         }

@@ -164,6 +164,7 @@ impl Stage {
                     A::ScanTrajectory,
                     A::TumTrajectory,
                     A::PoseGraph,
+                    A::GraphEdges,
                 ],
                 options: |config, scope| {
                     let mut value = detection_options(config, scope)?;
@@ -342,13 +343,15 @@ pub(crate) enum Artifact {
     /// The same as text.
     TumTrajectory,
     PoseGraph,
+    /// The edges of the pose graph, by scan.
+    GraphEdges,
     /// The numbers of the report as JSON.
     Summary,
     Report,
 }
 
 impl Artifact {
-    const ALL: [Self; 23] = [
+    const ALL: [Self; 24] = [
         Self::Log,
         Self::Scans,
         Self::Poses,
@@ -370,6 +373,7 @@ impl Artifact {
         Self::ScanTrajectory,
         Self::TumTrajectory,
         Self::PoseGraph,
+        Self::GraphEdges,
         Self::Summary,
         Self::Report,
     ];
@@ -398,6 +402,7 @@ impl Artifact {
             Self::ScanTrajectory => "trajectory/{log}.parquet",
             Self::TumTrajectory => "trajectory/{log}.tum",
             Self::PoseGraph => "graph.g2o",
+            Self::GraphEdges => "graph.parquet",
             Self::Summary => "evaluation/summary.json",
             Self::Report => "report.html",
         }

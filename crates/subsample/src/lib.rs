@@ -206,6 +206,7 @@ pub fn subsample(
             z_m: stamped.z_m,
             segment: stamped.segment,
             frame: stamped.frame,
+            map: None,
             travel_m,
             coverage_deg: candidate.coverage_deg,
         });

@@ -47,7 +47,9 @@ const MAX_ROUNDS: u32 = 100_000;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(rename = "TrainOptions"))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// The learners. Each one is trained and evaluated, and gives its own model.
+    /// The learners. Each one is trained and evaluated, and gives its own model. If the list is empty, no
+    /// pairs are labelled and nothing is trained: the run only finds loop closures, with the starting values
+    /// of the detector.
     pub learners: Vec<Learner>,
     /// Number of boosting rounds T.
     pub rounds: u32,
@@ -75,15 +77,9 @@ impl Options {
             }
         }
         let names: Vec<&str> = self.learners.iter().map(|learner| learner.name()).collect();
-        let fail = |expected| {
-            let list = format!("[{}]", names.join(", "));
-            Err(OutOfRange::new("train.learners", list, expected))
-        };
-        if names.is_empty() {
-            return fail("at least one learner");
-        }
         if names.iter().collect::<BTreeSet<_>>().len() < names.len() {
-            return fail("each learner once");
+            let list = format!("[{}]", names.join(", "));
+            return Err(OutOfRange::new("train.learners", list, "each learner once"));
         }
         Ok(())
     }

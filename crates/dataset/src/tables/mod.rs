@@ -19,6 +19,7 @@
 //!   candidates.parquet       one row per pair of places that may be the same
 //!   closures.parquet         one row per accepted or rejected closure
 //!   trajectory.parquet       one row per keyframe: optimized pose
+//!   graph.parquet            one row per edge of the pose graph
 //!   trajectory/<log>.parquet one row per scan: optimized pose (same columns as poses)
 //!   evaluation/*.parquet     results of the evaluation
 //! ```
@@ -30,6 +31,7 @@ mod closures;
 mod columns;
 mod evidence;
 mod file;
+mod graph;
 mod provenance;
 mod registered;
 mod scan_pairs;
@@ -47,6 +49,7 @@ pub use evidence::{
 pub use file::{
     digest_file, is_partial, read_provenance, read_table, write_atomically, write_file, write_table,
 };
+pub use graph::{read_graph, write_graph};
 pub use provenance::{FORMAT_VERSION, Provenance};
 pub use registered::{
     read_odometry, read_registered, read_trajectory, write_odometry, write_registered,

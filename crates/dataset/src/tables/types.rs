@@ -45,7 +45,8 @@ pub(super) const COVARIANCE: [&str; 6] =
     ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh"];
 
 /// Columns of poses and keyframes that can contain nulls.
-const NULLABLE: [&str; 7] = ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh", "z_m"];
+const NULLABLE: [&str; 8] =
+    ["cov_xx", "cov_xy", "cov_xh", "cov_yy", "cov_yh", "cov_hh", "z_m", "map"];
 
 /// The key in the metadata of a poses table with the name of the frame of the poses.
 const FRAME_ID: &str = "frame_id";
@@ -149,6 +150,7 @@ pub fn write_keyframes(path: &Path, provenance: &Provenance, keyframes: &[Keyfra
     ];
     columns.extend(covariance_columns(keyframes.iter().map(|k| k.covariance)));
     columns.extend(segment_columns(keyframes.iter().map(|k| (k.z_m, k.segment, k.frame))));
+    columns.push(("map", Arc::new(keyframes.iter().map(|k| k.map).collect::<UInt32Array>())));
     write_table(path, "keyframes", provenance, &batch(columns, &NULLABLE))
 }
 
@@ -168,6 +170,7 @@ pub fn read_keyframes(path: &Path) -> Result<(Vec<Keyframe>, Provenance)> {
     let heights = columns.nullable_numbers::<Float64Type>("z_m")?;
     let segments = columns.numbers::<UInt32Type>("segment")?;
     let frames = columns.numbers::<UInt32Type>("frame")?;
+    let maps = columns.nullable_numbers::<UInt32Type>("map")?;
     let mut names = Names::default();
     let keyframes = ids
         .into_iter()
@@ -181,6 +184,7 @@ pub fn read_keyframes(path: &Path) -> Result<(Vec<Keyframe>, Provenance)> {
             z_m: heights.is_valid(row).then(|| heights.value(row)),
             segment: segments.value(row),
             frame: frames.value(row),
+            map: maps.is_valid(row).then(|| maps.value(row)),
             travel_m: travel.value(row),
             coverage_deg: coverage.value(row),
         })
@@ -211,12 +215,17 @@ pub fn write_pairs(
         ("label", Arc::new(Int8Array::from_iter_values(pairs.iter().map(|p| p.label.sign())))),
         ("distance_m", floats(pairs.iter().map(|p| p.distance_m))),
         (
+            "distance_std_m",
+            Arc::new(pairs.iter().map(|p| p.distance_std_m).collect::<Float64Array>()),
+        ),
+        (
             "heading_difference_rad",
             Arc::new(pairs.iter().map(|p| p.heading_difference_rad).collect::<Float64Array>()),
         ),
         ("travel_gap_m", floats(pairs.iter().map(|p| p.travel_gap_m))),
     ];
-    write_table(path, "pairs", provenance, &batch(columns, &["heading_difference_rad"]))
+    let nullable = ["distance_std_m", "heading_difference_rad"];
+    write_table(path, "pairs", provenance, &batch(columns, &nullable))
 }
 
 /// Reads `pairs.parquet` and converts the scans to indices of `keyframes`.
@@ -241,6 +250,7 @@ pub fn read_pairs(path: &Path, keyframes: &[Keyframe]) -> Result<(Vec<Pair>, Pro
     let references = resolve(scan_ids(&columns, "reference_log", "reference_scan")?)?;
     let labels = columns.numbers::<Int8Type>("label")?;
     let distances = columns.numbers::<Float64Type>("distance_m")?;
+    let deviations = columns.nullable_numbers::<Float64Type>("distance_std_m")?;
     let headings = columns.nullable_numbers::<Float64Type>("heading_difference_rad")?;
     let gaps = columns.numbers::<Float64Type>("travel_gap_m")?;
     let pairs = (0..batch.num_rows())
@@ -252,6 +262,7 @@ pub fn read_pairs(path: &Path, keyframes: &[Keyframe]) -> Result<(Vec<Pair>, Pro
                     row_error(row, format!("label {}, expected 1 or -1", labels.value(row)))
                 })?,
                 distance_m: distances.value(row),
+                distance_std_m: deviations.is_valid(row).then(|| deviations.value(row)),
                 heading_difference_rad: headings.is_valid(row).then(|| headings.value(row)),
                 travel_gap_m: gaps.value(row),
             })

@@ -11,6 +11,7 @@ pub(super) fn section(input: &Input<'_>, evaluation: &Evaluation) -> Markup {
     html! {
         section {
             h2 { "Labelled pairs" }
+            @for sentence in input.label_basis { p { "Basis: " (sentence) "." } }
             p {
                 "A place is a square of ground " (input.place_m) "\u{a0}m wide. A pair counts for the place of the scan whose place has more scans. "
                 "The more places the pairs are from, the more likely the results hold elsewhere. "

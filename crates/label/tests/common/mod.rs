@@ -14,6 +14,7 @@ pub fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
         z_m: None,
         segment: 0,
         frame: 0,
+        map: None,
         travel_m: 100.0 * f64::from(scan),
         coverage_deg: 360.0,
     }

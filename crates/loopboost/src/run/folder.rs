@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow};
 use dataset::tables::is_partial;
 
+use crate::pose_run::PoseRun;
 use crate::stage::Artifact;
 
 /// A folder that this process has locked, or only looks at.
@@ -20,7 +21,7 @@ use crate::stage::Artifact;
 ///   scores.parquet               rounds.parquet           retrieval.parquet  grid.parquet
 ///   feature_usefulness.parquet
 ///   registered/<log>.parquet     odometry.parquet         candidates.parquet
-///   closures.parquet             trajectory.parquet       graph.g2o
+///   closures.parquet             trajectory.parquet       graph.parquet      graph.g2o
 ///   trajectory/<log>.parquet     trajectory/<log>.tum     truth/<log>.parquet
 ///   models/<name>/<version>/     model.json, card.md
 ///   evaluation/*.parquet         evaluation/summary.json  evaluation/figures/*.svg
@@ -28,6 +29,8 @@ use crate::stage::Artifact;
 /// ```
 pub(crate) struct RunFolder {
     pub(super) root: PathBuf,
+    /// The run that poses are taken from.
+    pub(super) pose_run: Option<PoseRun>,
     /// Held for the lifetime of this value; the system releases it when the process ends.
     _lock: Option<File>,
 }
@@ -38,12 +41,12 @@ impl RunFolder {
     pub(super) fn lock(root: PathBuf) -> Result<Self> {
         let lock = lock(&root)?;
         remove_partial_files(&root)?;
-        Ok(Self { root, _lock: Some(lock) })
+        Ok(Self { root, pose_run: None, _lock: Some(lock) })
     }
 
     /// A run folder that nothing is written to.
     pub(super) fn read_only(root: PathBuf) -> Self {
-        Self { root, _lock: None }
+        Self { root, pose_run: None, _lock: None }
     }
 
     /// A path in the run folder.
@@ -59,8 +62,14 @@ impl RunFolder {
         }
     }
 
-    /// The name of a file in the run folder; the file name alone where it is elsewhere.
+    /// The name of a file in the run folder, or in the run that poses are taken from; the file name alone
+    /// where it is elsewhere.
     pub(super) fn name_of(&self, path: &Path) -> String {
+        let of_table = |path: &&Path| path.extension().is_some_and(|end| end == "parquet");
+        let of_pose_run = Some(path).filter(of_table).zip(self.pose_run.as_ref());
+        if let Some(name) = of_pose_run.and_then(|(path, pose_run)| pose_run.name_of(path)) {
+            return name;
+        }
         let name = path.strip_prefix(&self.root).ok().or(path.file_name().map(Path::new));
         name.unwrap_or(path).to_string_lossy().into_owned()
     }

@@ -16,7 +16,7 @@ use crate::summary::Summary;
 
 /// Version of the layout of `run.json`. A file of another version is not read, and every stage runs
 /// again.
-const FORMAT_VERSION: u32 = 4;
+const FORMAT_VERSION: u32 = 5;
 
 /// The tasks of a run folder, by name ("ingest monday", "label").
 #[derive(Debug, Default, Serialize, Deserialize)]
@@ -174,8 +174,8 @@ mod tests {
             Manifest::load_existing(folder.path()).unwrap_err().to_string()
         };
         let message = load(r#"{"format_version": 2, "tasks": {"label": {"dropped": {}}}}"#);
-        assert!(message.contains("format version 2, this program reads version 4"), "{message}");
+        assert!(message.contains("format version 2, this program reads version 5"), "{message}");
         assert!(load("{").contains("is damaged"));
-        assert!(load(r#"{"format_version": 4, "tasks": []}"#).contains("is damaged"));
+        assert!(load(r#"{"format_version": 5, "tasks": []}"#).contains("is damaged"));
     }
 }

@@ -23,6 +23,7 @@ use crate::detector_evidence::starting_values;
 use crate::findings::Findings;
 use crate::goal::Goal;
 use crate::logs::LogFile;
+use crate::pose_run::PoseRun;
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 use crate::used_model::UsedModel;
@@ -109,14 +110,16 @@ impl Run {
         strict: bool,
         model: Option<UsedModel>,
     ) -> Result<Self> {
-        let folder = match mode {
-            Mode::DryRun { .. } => RunFolder::read_only(folder),
-            _ => RunFolder::lock(folder)?,
-        };
         let goal = match &model {
             None => Goal::train(&config),
             Some(_) => Goal::detect(&config, config.detection().classifier),
         };
+        let pose_run = PoseRun::of(&config, goal, &folder)?;
+        let mut folder = match mode {
+            Mode::DryRun { .. } => RunFolder::read_only(folder),
+            _ => RunFolder::lock(folder)?,
+        };
+        folder.pose_run = pose_run;
         Ok(Self {
             config,
             goal,
@@ -138,6 +141,16 @@ impl Run {
     /// What loop detection uses: the detector of the model, or the starting values.
     pub(crate) fn detector(&self) -> &Detector {
         self.model.as_ref().map_or(&self.starting_values, |model| &model.detector)
+    }
+
+    /// The finished run that poses are taken from.
+    pub(crate) fn pose_run(&self) -> Option<&PoseRun> {
+        self.folder.pose_run.as_ref()
+    }
+
+    /// Whether the poses of a log are those of a finished run.
+    pub(crate) fn is_in_pose_run(&self, log: &str) -> Result<bool> {
+        Ok(self.config.for_log(log)?.pose.is_some_and(|pose| pose.run.is_some()))
     }
 
     /// The models that `train` made in this folder, in the order of the learners of the pipeline.

@@ -14,6 +14,8 @@ use evaluate::{ClosureReport, ClosureSketches, Evaluation, Fact, Input, Sketches
 use crate::config::Config;
 use crate::findings::Findings;
 use crate::found_drives::FoundDrive;
+use crate::label_basis::label_basis;
+use crate::label_truth::compare_with_truth;
 use crate::labelled::{features_of, labelled_keyframes};
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
@@ -22,8 +24,8 @@ use crate::summary::{RoundsError, Summary};
 /// Scores, closures -> evaluation/, report.html
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut task = run.task_of(Stage::Evaluate)?;
-    if !run.goal.detects() {
-        // Only trajectories are compared with the odometry at every scan.
+    if !run.goal.detects() && run.pose_run().is_none() {
+        // Only trajectories and the labels of a map are compared with poses at every scan.
         let folder = run.path("poses");
         task.inputs.retain(|input| !input.starts_with(&folder));
     }
@@ -110,11 +112,15 @@ fn evaluate(
     let (feature_usefulness, _) = read_feature_usefulness(&usefulness)?;
     let Findings { losses, mut notes } = run.findings_before(Stage::Evaluate)?;
     notes.retain(|note| !not_evaluated.contains(note));
+    let label_basis = label_basis(run, &keyframes, &notes)?;
+    let compared = compare_with_truth(run, &keyframes, &pairs)?;
+    notes.extend(compared.clone());
     let (digests, options) = (digests_of_logs(run)?, options(&run.config)?);
 
     let input = Input {
         keyframes: &keyframes,
         pairs: &pairs,
+        label_basis: &label_basis,
         place_m: run.config.label.place_m,
         max_height_difference_m: run.config.label.max_height_difference_m,
         place_margin_m: run.config.evaluate.place_margin_m,
@@ -143,7 +149,7 @@ fn evaluate(
         summaries.push(Summary::NotValidatedOnUnseenGround);
     }
     summaries.push(Summary::Written { file: Artifact::Report.pattern().to_owned() });
-    Ok(Done { outputs, summaries, ..Done::default() })
+    Ok(Done { outputs, summaries, notes: compared.into_iter().collect(), ..Done::default() })
 }
 
 /// The digests of the logs, which the tables of their scans have stored.

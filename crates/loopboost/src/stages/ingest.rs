@@ -2,14 +2,15 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
-use dataset::tables::scans::write_scans;
-use dataset::tables::{Provenance, write_poses};
+use dataset::tables::scans::{read_scan_headers, read_scans, write_scans};
+use dataset::tables::{Provenance, TableError, write_poses};
 use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject, Trajectory};
 use ingest::{IngestError, Log, Options, PoseFileError, PoseOptions};
 
 use crate::config::{LogOptions, usage};
 use crate::findings::Findings;
 use crate::logs::{LogFile, file_name};
+use crate::map_run::MapRun;
 use crate::run::{Done, Run, Task, missing_log, progress_bar};
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
@@ -24,6 +25,7 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
     run.find_copies()?;
     let logs = run.logs_without_copies()?;
     check_frames(run, &logs)?;
+    let map = MapRun::open(run)?;
     for log in &logs {
         if let Some(missing) = log.paths.iter().find(|path| !path.exists()) {
             let error = missing_log(missing);
@@ -38,9 +40,15 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
         }
         let mut inputs = log.paths.clone();
         inputs.extend(pose_file(run, log)?);
+        let map = map.as_ref().filter(|_| run.is_in_pose_run(&log.name).unwrap_or(false));
+        if let Some(map) = map {
+            map.check_log(run, log)?;
+            inputs.extend(map.inputs_of_log(&log.name));
+        }
         let task = Task { stage: Stage::Ingest, log: Some(log.name.clone()), only: None, inputs };
-        let ingested = match missing_pose_file(run, log)? {
-            Some(error) if !run.is_dry() => Err(error.into()),
+        let ingested = match (missing_pose_file(run, log)?, map) {
+            (Some(error), _) if !run.is_dry() => Err(error.into()),
+            (_, Some(map)) => run.task(&task, |provenance| take_log(run, map, log, provenance)),
             _ => run.task(&task, |provenance| ingest_log(run, log, provenance)),
         };
         let ingested = ingested.and_then(|mut findings| {
@@ -180,6 +188,29 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
         log: file.name.to_string(),
         n_scans: ingested.n_scans as u64,
         n_poses: ingested.trajectory.poses().len() as u64,
+    };
+    Ok(Done { outputs: vec![scans, poses], losses, notes, summaries: vec![summary] })
+}
+
+/// Takes the scans and the poses of a log from the map of a finished run. The scans are the same, so that they
+/// are corrected for the motion of the robot with the odometry, and each has a pose.
+fn take_log(run: &Run, map: &MapRun<'_>, log: &LogFile, provenance: Provenance) -> Result<Done> {
+    let from = map.scans(&log.name);
+    let (headers, Provenance { losses, notes, .. }) = read_scan_headers(&from)?;
+    let trajectory = map.trajectory(&log.name)?;
+    let (scans, poses) = (run.scans(&log.name), run.poses(&log.name));
+    let provenance = Provenance { losses: losses.clone(), notes: notes.clone(), ..provenance };
+    write_scans(&scans, &provenance, &log.name, |writer| {
+        let all: Vec<u32> = (0..headers.len() as u32).collect();
+        read_scans(&from, &all, |batch| writer.push(batch))?;
+        writer.set_findings(losses.clone(), notes.clone());
+        Ok::<(), TableError>(())
+    })?;
+    write_poses(&poses, &provenance, &log.name, &trajectory)?;
+    let summary = Summary::Ingested {
+        log: log.name.to_string(),
+        n_scans: headers.len() as u64,
+        n_poses: trajectory.poses().len() as u64,
     };
     Ok(Done { outputs: vec![scans, poses], losses, notes, summaries: vec![summary] })
 }

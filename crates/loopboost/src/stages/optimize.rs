@@ -4,11 +4,12 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow};
 use dataset::tables::{
-    Provenance, read_candidates, write_closures, write_file, write_poses, write_trajectory,
+    Provenance, read_candidates, write_closures, write_file, write_graph, write_poses,
+    write_trajectory,
 };
 use dataset::{
-    CandidateClosure, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan, Scan, ScanId,
-    StampedPose, Subject, Trajectory,
+    CandidateClosure, GraphEdge, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan,
+    Scan, ScanId, StampedPose, Subject, Trajectory,
 };
 use model::{Detector, Model};
 use optimize::{
@@ -30,7 +31,7 @@ use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 
 /// Candidates -> closures.parquet, trajectory.parquet, trajectory/LOG.parquet, trajectory/LOG.tum,
-/// graph.g2o
+/// graph.g2o, graph.parquet
 ///
 /// The drives of a site, which are the segments of its logs, share a map where they share places.
 pub(crate) fn run(run: &Run) -> Result<Findings> {
@@ -422,6 +423,8 @@ struct Graph {
     comments: String,
     vertices: String,
     edges: String,
+    /// The edges by scan, for `graph.parquet`.
+    by_scan: Vec<GraphEdge>,
 }
 
 impl Graph {
@@ -454,6 +457,15 @@ impl Graph {
             let Pose2 { x_m, y_m, heading_rad } = a_from_b;
             let upper = upper_triangle(information).map(|entry| entry.to_string()).join(" ");
             let _ = writeln!(self.edges, "EDGE_SE2 {a} {b} {x_m} {y_m} {heading_rad} {upper}");
+        }
+        for Edge { a, b, a_from_b, information } in &solution.edges {
+            let Some(covariance) = information.try_inverse() else { continue };
+            self.by_scan.push(GraphEdge {
+                reference: rows[*a].id.clone(),
+                query: rows[*b].id.clone(),
+                reference_from_query: *a_from_b,
+                covariance: upper_triangle(&covariance),
+            });
         }
     }
 
@@ -491,12 +503,14 @@ fn write(
     maps: &Maps,
     trajectories: &[(LogFile, Trajectory)],
 ) -> Result<Vec<PathBuf>> {
-    let once = [Artifact::Closures, Artifact::Trajectory, Artifact::PoseGraph];
-    let [closures, keyframes, graph] = once.map(|artifact| run.path_of(artifact));
+    let once =
+        [Artifact::Closures, Artifact::Trajectory, Artifact::PoseGraph, Artifact::GraphEdges];
+    let [closures, keyframes, graph, edges] = once.map(|artifact| run.path_of(artifact));
     write_closures(&closures, provenance, &maps.closures)?;
     write_trajectory(&keyframes, provenance, &maps.keyframes)?;
     write_file(&graph, maps.graph.text().as_bytes())?;
-    let mut outputs = vec![closures, keyframes, graph];
+    write_graph(&edges, provenance, &maps.graph.by_scan)?;
+    let mut outputs = vec![closures, keyframes, graph, edges];
     for (log, trajectory) in trajectories {
         let table = run.path_of_log(Artifact::ScanTrajectory, &log.name);
         write_poses(&table, provenance, &log.name, trajectory)?;

@@ -35,7 +35,10 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
         let (trajectory, _) = read_poses(&run.poses(&log.name))?;
         let site: Arc<str> = sites[&*log.name].as_str().into();
         match keyframes_of(run, log, &site, &trajectory)? {
-            Ok((of_log, losses)) => {
+            Ok((mut of_log, losses)) => {
+                if run.is_in_pose_run(&log.name)? {
+                    of_log.iter_mut().for_each(|keyframe| keyframe.map = Some(keyframe.frame));
+                }
                 starts.entry(site.to_string()).or_default().extend(shared_start(
                     run,
                     &log.name,
@@ -84,9 +87,12 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
 }
 
 /// Where the trajectory of a log starts. `None` if its map frame is known: the pipeline states it, or the
-/// poses are ground truth.
+/// poses are ground truth or those of a map.
 fn shared_start(run: &Run, log: &str, trajectory: &Trajectory) -> Result<Option<Start>> {
     let is_known = run.config.for_log(log)?.pose.is_some_and(|pose| {
+        if pose.run.is_some() {
+            return true;
+        }
         let is_truth = pose.topic.as_deref().is_some_and(is_ground_truth);
         is_truth || pose.start.is_some() || pose.origin.is_some()
     });

@@ -27,6 +27,12 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
             task.inputs.retain(|input| *input != run.poses(&log.name));
         }
     }
+    for log in run.ingested_logs()? {
+        if run.is_in_pose_run(&log.name)? {
+            let truth = run.path_of_log(Artifact::Truth, &log.name);
+            task.inputs.retain(|input| *input != truth);
+        }
+    }
     run.task(&task, |provenance| train(run, &provenance))
 }
 
