@@ -173,12 +173,12 @@ fn compare_pair(a: &Place, b: &Place, prediction: &Prediction) -> Compared {
             y_m: expected.y_m + y,
             heading_rad: expected.heading_rad + heading,
         });
-        let is_rival = |end: &Pose2| {
+        let leads_to_rival = |end: &Pose2| {
             is_elsewhere(&best.a_from_b, end)
                 && is_rival(&best, &fit(&a.node, &b.node, end, &last_options()))
         };
         // Lazily: the starts after one rival too many are not tried.
-        let rivals = ends.into_iter().chain(more.iter().map(end)).filter(is_rival);
+        let rivals = ends.into_iter().chain(more.iter().map(end)).filter(leads_to_rival);
         compared.is_agreed = rivals.take(MAX_RIVALS + 1).count() <= MAX_RIVALS;
     }
     compared
