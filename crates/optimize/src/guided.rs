@@ -23,8 +23,11 @@ const PREFERENCE: f64 = 0.05;
 /// More starts, relative to the prediction: x \[m\], y \[m\], heading \[rad\].
 const MORE_STARTS: [[f64; 3]; 4] =
     [[0.35, 0.0, 0.06], [-0.35, 0.0, -0.06], [0.0, 0.35, -0.06], [0.0, -0.35, 0.06]];
-/// The most starts that may lead elsewhere: one of six.
-const MAX_OTHER_ENDS: usize = 1;
+/// The most starts that may lead to a rival: one of six.
+const MAX_RIVALS: usize = 1;
+/// Another pose is a rival of the best one if its known overlap minus conflict is less by at most this. The value
+/// is a guess.
+const RIVAL: f64 = 0.1;
 /// Two starts lead to the same pose if the results are closer than this.
 const SAME_M: f64 = 0.1;
 const SAME_DEG: f64 = 1.0;
@@ -51,8 +54,8 @@ pub(crate) struct Compared {
     /// Distance and angle between the predicted and the found relative pose.
     pub(crate) moved_m: f64,
     pub(crate) turned_rad: f64,
-    /// Whether enough of the starts led to the found pose. False where the rest already decides against
-    /// the pair: then they are not tried.
+    /// Whether no other pose fits about as well: few starts lead to one. False where the rest already decides
+    /// against the pair: then they are not tried.
     pub(crate) is_agreed: bool,
 }
 
@@ -153,9 +156,8 @@ fn compare_pair(a: &Place, b: &Place, prediction: &Prediction) -> Compared {
         align(b.node.sample(), a.node.target(), start, &prior, &options).target_from_source
     };
     let ends = [found, expected].map(|start| end(&start));
-    let key = |fit: &Fit| fit.known_overlap - fit.known_conflict();
     let [first, second] = ends.map(|end| fit(&a.node, &b.node, &end, &last_options()));
-    let best = if key(&first) < key(&second) { second } else { first };
+    let best = if agreement(&first) < agreement(&second) { second } else { first };
     let off = expected.inverse() * best.a_from_b;
     let mut compared = Compared {
         reference: prediction.reference,
@@ -166,20 +168,36 @@ fn compare_pair(a: &Place, b: &Place, prediction: &Prediction) -> Compared {
         is_agreed: false,
     };
     if compared.is_plausible() {
-        let is_other = |end: &Pose2| {
-            let off = best.a_from_b.inverse() * *end;
-            SAME_M <= length(&off) || SAME_DEG.to_radians() <= off.heading_rad.abs()
-        };
         let more = MORE_STARTS.map(|[x, y, heading]| Pose2 {
             x_m: expected.x_m + x,
             y_m: expected.y_m + y,
             heading_rad: expected.heading_rad + heading,
         });
-        // Lazily: the starts after one too many that leads elsewhere are not tried.
-        let others = ends.into_iter().chain(more.iter().map(end)).filter(is_other);
-        compared.is_agreed = others.take(MAX_OTHER_ENDS + 1).count() <= MAX_OTHER_ENDS;
+        let leads_to_rival = |end: &Pose2| {
+            is_elsewhere(&best.a_from_b, end)
+                && is_rival(&best, &fit(&a.node, &b.node, end, &last_options()))
+        };
+        // Lazily: the starts after one rival too many are not tried.
+        let rivals = ends.into_iter().chain(more.iter().map(end)).filter(leads_to_rival);
+        compared.is_agreed = rivals.take(MAX_RIVALS + 1).count() <= MAX_RIVALS;
     }
     compared
+}
+
+/// How well the scans fit.
+fn agreement(fit: &Fit) -> f64 {
+    fit.known_overlap - fit.known_conflict()
+}
+
+/// Whether another pose fits about as well as the best one.
+fn is_rival(best: &Fit, other: &Fit) -> bool {
+    is_elsewhere(&best.a_from_b, &other.a_from_b) && agreement(best) - RIVAL < agreement(other)
+}
+
+/// Whether two relative poses differ.
+fn is_elsewhere(a: &Pose2, b: &Pose2) -> bool {
+    let off = a.inverse() * *b;
+    SAME_M <= length(&off) || SAME_DEG.to_radians() <= off.heading_rad.abs()
 }
 
 /// Distance of a relative pose \[m\].
@@ -234,4 +252,53 @@ pub(crate) fn covariance(fit: &Fit, noise: &ClosureNoise) -> Matrix3<f64> {
 /// The last alignment of a comparison, after which the fit is measured.
 fn last_options() -> AlignOptions {
     fit_options(0.25, 8)
+}
+
+#[cfg(test)]
+mod tests {
+    use register::Alignment;
+
+    use super::*;
+
+    fn fit_at(x_m: f64, heading_deg: f64, known_overlap: f64, conflict: f64) -> Fit {
+        let a_from_b = Pose2 { x_m, y_m: 0.0, heading_rad: heading_deg.to_radians() };
+        let alignment = Alignment {
+            target_from_source: a_from_b,
+            information: Matrix3::identity(),
+            weakness: None,
+            prior_information: Matrix3::zeros(),
+            n_partners: 100,
+            rms_m: 0.01,
+            near_share: 1.0,
+        };
+        let known = 1.0;
+        Fit {
+            a_from_b,
+            alignment,
+            overlap: known_overlap,
+            known_overlap,
+            n_known: 100,
+            known,
+            conflict,
+        }
+    }
+
+    /// The best pose has a known overlap of 0.85 and a conflict of 0.05: 0.8. Rivals have more than 0.7.
+    #[test]
+    fn only_a_pose_elsewhere_that_fits_about_as_well_is_a_rival() {
+        let best = fit_at(1.0, 0.0, 0.85, 0.05);
+        for (x_m, heading_deg, known_overlap, conflict, expected) in [
+            // The same pose: 0.08 m and 0.8 deg away.
+            (1.08, 0.8, 0.85, 0.05, false),
+            (1.3, 0.0, 0.85, 0.05, true),
+            (1.0, 2.0, 0.85, 0.05, true),
+            (1.3, 0.0, 0.73, 0.01, true),
+            // As much overlap, and more conflict.
+            (1.3, 0.0, 0.85, 0.2, false),
+            (1.3, 0.0, 0.6, 0.05, false),
+        ] {
+            let other = fit_at(x_m, heading_deg, known_overlap, conflict);
+            assert_eq!(is_rival(&best, &other), expected, "{other:?}");
+        }
+    }
 }
