@@ -148,6 +148,16 @@ fn parts<'a>(tables: &'a Tables, log: &str, of_log: &'a LogTables) -> Result<Vec
             keyframe.get(id).is_some_and(|k| *k.id.log == *log && k.segment == first.segment)
         };
         let closures = (0..).zip(&tables.closures).filter(|(_, c)| is_here(&c.closure.query));
+        let is_in_another_map = |id: &ScanId| keyframe.get(id).is_some_and(|k| k.map != map);
+        let (elsewhere, closures): (Vec<_>, Vec<_>) = closures
+            .partition(|(_, c)| !c.is_accepted() && is_in_another_map(&c.closure.reference));
+        if !elsewhere.is_empty() {
+            out!(
+                "log `{log}`: {} rejected closures lead to other maps and are not shown",
+                elsewhere.len()
+            );
+        }
+        let closures = closures.into_iter();
         let lines = closures.map(|(row, closure)| line(row, closure, map, &keyframe));
         let all_poses = of_log.trajectory.poses().iter();
         parts.push(MapPart {

@@ -123,12 +123,12 @@ pub fn join_drives(
     detector: &Detector,
 ) -> Site {
     assert_eq!(solutions.len(), drive.starts.len(), "one solution per drive");
-    let mut joiner = Joiner::new(drive, solutions, known, proposals, detector);
-    joiner.join_all();
-    joiner.finish()
+    let mut maps = SiteMaps::new(drive, solutions, known, proposals, detector);
+    maps.join_all();
+    maps.finish()
 }
 
-struct Joiner<'a> {
+struct SiteMaps<'a> {
     drive: &'a Drive<'a>,
     solutions: &'a [Solution],
     known: &'a Known,
@@ -179,7 +179,7 @@ struct Pair<'a> {
     b: &'a [usize],
 }
 
-impl<'a> Joiner<'a> {
+impl<'a> SiteMaps<'a> {
     fn new(
         drive: &'a Drive<'a>,
         solutions: &'a [Solution],

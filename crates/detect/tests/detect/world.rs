@@ -85,6 +85,7 @@ pub fn drive<'a>(scans: &'a [Scan], poses: &[Pose2]) -> Drive<'a> {
         odometry: poses.to_vec(),
         poses: poses.to_vec(),
         path_m,
+        starts: vec![0],
         is_keyframe: vec![true; scans.len()],
         is_decided: vec![true; scans.len()],
     }
