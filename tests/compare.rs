@@ -82,6 +82,7 @@ fn write_labels(run: &Path, negative: usize) {
         reference: 0,
         label: if query == negative { Label::Negative } else { Label::Positive },
         distance_m: 1.0,
+        distance_std_m: None,
         heading_difference_rad: None,
         travel_gap_m: 1.0,
     };
