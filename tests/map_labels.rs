@@ -206,13 +206,18 @@ fn the_graph_has_the_edges_of_the_g2o_file() {
     }
 }
 
+/// Runs a pipeline with options, and checks the exit code and what it says.
+fn refused(workplace: &Workplace) -> impl Fn(&str, &str, &[&str], i32, &[&str]) {
+    move |pipeline: &str, out: &str, more: &[&str], code: i32, texts: &[&str]| {
+        fs::write(workplace.path("drive.toml"), pipeline).unwrap();
+        workplace.command("run", out, more).expect(code).says(texts);
+    }
+}
+
 #[test]
 fn a_run_that_does_not_fit_is_refused() {
     let workplace = with_map();
-    let refused = |pipeline: &str, out: &str, more: &[&str], code: i32, texts: &[&str]| {
-        fs::write(workplace.path("drive.toml"), pipeline).unwrap();
-        workplace.command("run", out, more).expect(code).says(texts);
-    };
+    let refused = refused(&workplace);
     let plain = learner("");
 
     // No run, or a run that is not finished.
@@ -262,6 +267,13 @@ fn a_run_that_does_not_fit_is_refused() {
         1,
         &["`ingest.lidar` differs (range_max_m: 70.0 -> 20.0)"],
     );
+}
+
+#[test]
+fn a_pipeline_with_contradicting_sources_of_poses_is_refused() {
+    let workplace = with_map();
+    let refused = refused(&workplace);
+    let plain = learner("");
 
     // A run that would use its own poses, or poses that already contain closures.
     refused(
