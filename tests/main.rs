@@ -33,6 +33,7 @@ mod resume;
 mod run;
 mod sensors_page;
 mod simulation;
+mod sites;
 mod sources;
 mod structure;
 mod support;

@@ -276,13 +276,7 @@ fn a_pipeline_with_contradicting_sources_of_poses_is_refused() {
     let plain = learner("");
 
     // A run that would use its own poses, or poses that already contain closures.
-    refused(
-        &plain,
-        "map",
-        &[],
-        2,
-        &["the folder of --out: a run cannot take its poses from itself"],
-    );
+    refused(&plain, "map", &[], 2, &["the folder of --out: a run cannot use its own map"]);
     refused(
         &format!("{plain}[detect]\n"),
         "out",

@@ -20,11 +20,22 @@ pub(crate) struct DetectSection {
     /// Whether `loopboost detect --model` uses the classifier of the model, besides its detector. The
     /// classifier sorts the candidates, and its confidence is a part of the evidence.
     pub(crate) classifier: bool,
+    /// The folders of finished runs, relative to the pipeline file: a run with a map, and runs whose logs were
+    /// added to it. The logs of the pipeline, all of one site, are added to that map. Its poses stay, and
+    /// its drives are not computed again.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(crate) maps: Vec<String>,
 }
 
 impl Default for DetectSection {
     fn default() -> Self {
-        Self { min_path_m: 30.0, place_step_m: 2.5, place_half_m: 5.0, classifier: true }
+        Self {
+            min_path_m: 30.0,
+            place_step_m: 2.5,
+            place_half_m: 5.0,
+            classifier: true,
+            maps: Vec::new(),
+        }
     }
 }
 

@@ -14,9 +14,8 @@ use optimize::Proposal;
 use register::{Drive, is_decided};
 
 use crate::config::Config;
-use crate::logs::LogFile;
 use crate::run::Run;
-use crate::stage::{Artifact, sites};
+use crate::stage::Artifact;
 
 /// The points of a closure do not determine the position if the ratio of the smallest to the largest
 /// information is less than this. A bare corridor has 0 to 0.05, a room 0.5 and more.
@@ -61,55 +60,23 @@ pub(crate) fn registered_drives(run: &Run, log: &str) -> Result<Vec<RegisteredDr
     let (rows, _) = read_registered(&run.path_of_log(Artifact::Registered, log))?;
     let limits = registration_limits(&run.config, log)?;
     let numbers: Vec<u32> = rows.iter().map(|row| row.id.scan).collect();
-    let mut scans = scans_of(&run.scans(log), &numbers)?.into_iter();
-    let drives = rows.chunk_by(|a, b| a.segment == b.segment);
+    let scans = scans_of(&run.scans(log), &numbers)?;
+    Ok(drives_of(&rows, scans, limits))
+}
+
+/// The drives of the rows of a log, one per segment, with the scans of the rows.
+pub(crate) fn drives_of(
+    rows: &[RegisteredScan],
+    scans: Vec<Scan>,
+    limits: RangeLimits,
+) -> Vec<RegisteredDrive> {
+    let mut scans = scans.into_iter();
     let of_rows = |rows: &[RegisteredScan]| RegisteredDrive {
         rows: rows.to_vec(),
         scans: scans.by_ref().take(rows.len()).collect(),
         limits,
     };
-    Ok(drives.map(of_rows).collect())
-}
-
-/// The drives of a site, which may share places: the segments of its logs.
-pub(crate) struct SiteDrives {
-    /// Name of the site.
-    pub(crate) site: String,
-    pub(crate) logs: Vec<LogFile>,
-    /// In the order of the logs.
-    pub(crate) drives: Vec<RegisteredDrive>,
-}
-
-/// The sites of the run, each with its logs, in the order of their first logs.
-pub(crate) fn logs_of_sites(run: &Run) -> Result<Vec<(String, Vec<LogFile>)>> {
-    let logs = run.ingested_logs()?;
-    let names: Vec<&str> = logs.iter().map(|log| &*log.name).collect();
-    let site_of = sites(&run.config, &names)?;
-    let mut of_sites: Vec<(String, Vec<LogFile>)> = Vec::new();
-    for log in logs {
-        let site = &site_of[&*log.name];
-        match of_sites.iter_mut().find(|(name, _)| name == site) {
-            Some((_, logs)) => logs.push(log),
-            None => of_sites.push((site.clone(), vec![log])),
-        }
-    }
-    Ok(of_sites)
-}
-
-impl SiteDrives {
-    /// Reads the registered scans of the logs of a site.
-    pub(crate) fn read(run: &Run, site: String, logs: Vec<LogFile>) -> Result<Self> {
-        let mut drives = Vec::new();
-        for log in &logs {
-            drives.extend(registered_drives(run, &log.name)?);
-        }
-        Ok(Self { site, logs, drives })
-    }
-
-    /// The rows of all drives, in the order of [`Drive::joined`].
-    pub(crate) fn rows(&self) -> Vec<RegisteredScan> {
-        self.drives.iter().flat_map(|drive| drive.rows.iter().cloned()).collect()
-    }
+    rows.chunk_by(|a, b| a.segment == b.segment).map(of_rows).collect()
 }
 
 /// The scans with these numbers, which need not be sorted.

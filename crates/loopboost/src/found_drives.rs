@@ -16,9 +16,10 @@ use evaluate::detection::{
     ScanPoses, SiteDrives,
 };
 
-use crate::drives::{PosedScan, logs_of_sites, posed_scans};
+use crate::drives::{PosedScan, posed_scans};
 use crate::logs::LogFile;
 use crate::run::Run;
+use crate::site_drives::logs_of_sites;
 use crate::stage::{Artifact, Stage};
 
 /// What the stages `register`, `detect` and `optimize` found in a segment of a log.

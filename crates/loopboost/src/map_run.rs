@@ -1,7 +1,9 @@
-//! The map of a finished run, as a source of poses: `ingest.pose.run`.
+//! The map of a finished run: as a source of poses (`ingest.pose.run`), or to add drives to it
+//! (`detect.maps`).
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::read_scan_headers;
@@ -11,8 +13,9 @@ use dataset::tables::{
 use dataset::{GraphEdge, Keyframe, MapPose, Note, NoteKind, ScanId, StampedPose, Trajectory};
 use label::{Measurement, PoseGraph, Vertex};
 
+use crate::config::usage;
 use crate::logs::LogFile;
-use crate::pose_run::PoseRun;
+use crate::other_run::OtherRun;
 use crate::run::{Manifest, Run, changes};
 use crate::stage::{Artifact, Stage};
 
@@ -21,7 +24,7 @@ const TABLES: [Artifact; 3] = [Artifact::Trajectory, Artifact::GraphEdges, Artif
 
 /// A finished run with a map.
 pub(crate) struct MapRun<'a> {
-    run: &'a PoseRun,
+    run: &'a OtherRun,
     manifest: Manifest,
     /// The keyframes of the run.
     keyframes: Vec<MapPose>,
@@ -31,18 +34,44 @@ impl<'a> MapRun<'a> {
     /// Opens the run that poses are taken from; `None` if the pipeline names none. It is an error if `optimize`
     /// has not finished, or if its tables were altered since.
     pub(crate) fn open(run: &'a Run) -> Result<Option<Self>> {
-        let Some(pose_run) = run.pose_run() else { return Ok(None) };
-        let folder = pose_run.folder.display();
+        run.pose_run().map(|other| Self::of(other, "ingest.pose.run")).transpose()
+    }
+
+    /// Opens the runs whose map the logs are added to, in the same way. It is an error if the logs of the
+    /// second one were not added to the map of the first one as it is now, and so on.
+    pub(crate) fn known(run: &'a Run) -> Result<Vec<Self>> {
+        let others = run.known_maps().iter();
+        let runs: Vec<Self> =
+            others.map(|other| Self::of(other, "detect.maps")).collect::<Result<_>>()?;
+        let Some((first, added)) = runs.split_first() else { return Ok(runs) };
+        let path = first.path(Artifact::Trajectory, "");
+        let digest = digest_file(&path)?;
+        let is_added = |map: &&Self| {
+            let optimized = map.manifest.tasks.get(Stage::Optimize.name());
+            optimized.is_some_and(|record| record.inputs.values().any(|input| *input == digest))
+        };
+        if let Some(stray) = added.iter().find(|map| !is_added(map)) {
+            return Err(usage(format!(
+                "`detect.maps`: the logs of {} were not added to the map of {}, or that map has changed since; name the run with the map first, then runs with it in their `detect.maps`, and repeat those",
+                stray.folder().display(),
+                first.folder().display()
+            )));
+        }
+        Ok(runs)
+    }
+
+    fn of(other: &'a OtherRun, key: &str) -> Result<Self> {
+        let folder = other.folder.display();
         let remedy = "run `loopboost run` with a pipeline that has a section [detect], or `loopboost detect --model`, on these logs first";
-        let manifest = Manifest::load_existing(&pose_run.folder)
-            .map_err(|error| error.context(format!("`ingest.pose.run` is `{}`", pose_run.name)))?;
+        let manifest = Manifest::load_existing(&other.folder)
+            .map_err(|error| error.context(format!("`{key}` is `{}`", other.name)))?;
         let Some(optimized) = manifest.tasks.get(Stage::Optimize.name()) else {
             return Err(anyhow!(
                 "the run {folder} has no map: `optimize` has not finished in it; {remedy}"
             ));
         };
         for (name, digest) in optimized.inputs.iter().chain(&optimized.outputs) {
-            let path = pose_run.folder.join(name);
+            let path = other.folder.join(name);
             // An input from elsewhere, such as a model, is not part of the run.
             let is_of_run = Artifact::of_name(name).is_some() || path.exists();
             if is_of_run && digest_file(&path).ok().as_ref() != Some(digest) {
@@ -51,13 +80,33 @@ impl<'a> MapRun<'a> {
                 ));
             }
         }
-        let (keyframes, _) =
-            read_trajectory(&pose_run.folder.join(Artifact::Trajectory.pattern()))?;
-        Ok(Some(Self { run: pose_run, manifest, keyframes }))
+        let (keyframes, _) = read_trajectory(&other.folder.join(Artifact::Trajectory.pattern()))?;
+        Ok(Self { run: other, manifest, keyframes })
     }
 
-    fn path(&self, artifact: Artifact, log: &str) -> PathBuf {
+    pub(crate) fn folder(&self) -> &Path {
+        &self.run.folder
+    }
+
+    /// A file of the run.
+    pub(crate) fn path(&self, artifact: Artifact, log: &str) -> PathBuf {
         self.run.folder.join(artifact.name(log))
+    }
+
+    /// The logs with keyframes in a map.
+    pub(crate) fn logs(&self) -> BTreeSet<Arc<str>> {
+        self.keyframes.iter().map(|keyframe| keyframe.id.log.clone()).collect()
+    }
+
+    /// The numbers of the maps.
+    pub(crate) fn numbers(&self) -> BTreeSet<u32> {
+        self.keyframes.iter().map(|keyframe| keyframe.map).collect()
+    }
+
+    /// The number of the map of a segment of a log.
+    pub(crate) fn number(&self, log: &str, segment: u32) -> Option<u32> {
+        let is_of_segment = |k: &&MapPose| *k.id.log == *log && k.segment == segment;
+        self.keyframes.iter().find(is_of_segment).map(|keyframe| keyframe.map)
     }
 
     /// The files that the scans and poses of a log come from.

@@ -80,6 +80,35 @@ pub(crate) struct RoundsError {
     pub(crate) error: f64,
 }
 
+impl Summary {
+    /// Closures compared with the ground truth.
+    fn closed(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Closed { log, segment, n_revisits, n_closed, n_false, n_judged, ate_rmse_m } => {
+                f.write_str(log)?;
+                if 0 < *segment {
+                    write!(f, " (segment {segment})")?;
+                }
+                write!(
+                    f,
+                    ": {n_closed} of {n_revisits} revisits closed, {n_false} of {n_judged} closures false"
+                )?;
+                match ate_rmse_m {
+                    Some(ate_rmse_m) => write!(f, ", trajectory error {ate_rmse_m:.3} m"),
+                    None => Ok(()),
+                }
+            }
+            Self::ClosedBetween { site, n_revisits, n_closed, n_false, n_judged, ate_rmse_m } => {
+                write!(
+                    f,
+                    "site {site}: {n_closed} of {n_revisits} revisits of an earlier drive closed, {n_false} of {n_judged} closures between drives false, map error {ate_rmse_m:.3} m"
+                )
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -128,26 +157,8 @@ impl fmt::Display for Summary {
                 f,
                 "{log}: {n_accepted} closures accepted, {n_rejected} rejected; {n_poses} poses"
             ),
-            Self::Closed { log, segment, n_revisits, n_closed, n_false, n_judged, ate_rmse_m } => {
-                f.write_str(log)?;
-                if 0 < *segment {
-                    write!(f, " (segment {segment})")?;
-                }
-                write!(
-                    f,
-                    ": {n_closed} of {n_revisits} revisits closed, {n_false} of {n_judged} closures false"
-                )?;
-                match ate_rmse_m {
-                    Some(ate_rmse_m) => write!(f, ", trajectory error {ate_rmse_m:.3} m"),
-                    None => Ok(()),
-                }
-            }
-            Self::ClosedBetween { site, n_revisits, n_closed, n_false, n_judged, ate_rmse_m } => {
-                write!(
-                    f,
-                    "site {site}: {n_closed} of {n_revisits} revisits of an earlier drive closed, {n_false} of {n_judged} closures between drives false, map error {ate_rmse_m:.3} m"
-                )
-            }
+            Self::Closed { .. } => self.closed(f),
+            Self::ClosedBetween { .. } => self.closed(f),
             Self::Trained { model, version, rounds, errors } => {
                 let errors: Vec<String> = errors
                     .iter()

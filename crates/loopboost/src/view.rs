@@ -37,6 +37,12 @@ struct Tables {
     keyframes: Vec<MapPose>,
 }
 
+impl Tables {
+    fn has_log(&self, log: &str) -> bool {
+        self.keyframes.iter().any(|keyframe| *keyframe.id.log == *log)
+    }
+}
+
 /// The tables of a log.
 struct LogTables {
     /// Optimized poses at every scan.
@@ -148,12 +154,16 @@ fn parts<'a>(tables: &'a Tables, log: &str, of_log: &'a LogTables) -> Result<Vec
             keyframe.get(id).is_some_and(|k| *k.id.log == *log && k.segment == first.segment)
         };
         let closures = (0..).zip(&tables.closures).filter(|(_, c)| is_here(&c.closure.query));
-        let is_in_another_map = |id: &ScanId| keyframe.get(id).is_some_and(|k| k.map != map);
-        let (elsewhere, closures): (Vec<_>, Vec<_>) = closures
-            .partition(|(_, c)| !c.is_accepted() && is_in_another_map(&c.closure.reference));
+        // A log that was added to the map of another run has closures with the logs of that run.
+        let leads_elsewhere = |c: &JudgedClosure| match keyframe.get(&c.closure.reference) {
+            Some(reference) => !c.is_accepted() && reference.map != map,
+            None => !tables.has_log(&c.closure.reference.log),
+        };
+        let (elsewhere, closures): (Vec<_>, Vec<_>) =
+            closures.partition(|(_, c)| leads_elsewhere(c));
         if !elsewhere.is_empty() {
             out!(
-                "log `{log}`: {} rejected closures lead to other maps and are not shown",
+                "log `{log}`: {} closures lead to other maps or runs and are not shown",
                 elsewhere.len()
             );
         }

@@ -15,19 +15,16 @@
 //! assert!(align(&truth, &estimate).unwrap().rmse_m < 1e-12);
 //! ```
 
-mod between;
 mod calibration;
 mod closures;
 mod input;
 mod measure;
 mod revisits;
+mod sites;
 mod tables;
 mod trajectory;
 mod truth;
 
-pub use between::{
-    ClosureBetween, DriveKeyframe, MapMeasures, SiteDrives, SiteErrors, SiteMeasures, measure_site,
-};
 pub use calibration::{Calibration, chi_square_quantile, normalized_error};
 pub use closures::{
     CandidateErrors, ClosureErrors, FALSE_DEG, FALSE_M, Judged, PLACE_M, RIGHT_DEG, RIGHT_M,
@@ -39,6 +36,9 @@ pub use measure::{
 };
 pub use revisits::{
     NEAR_PATH_M, REVISIT_M, REVISIT_PATH_M, Revisit, RevisitCounts, Revisits, revisits,
+};
+pub use sites::{
+    ClosureBetween, DriveKeyframe, MapMeasures, SiteDrives, SiteErrors, SiteMeasures, measure_site,
 };
 pub use tables::write_detection;
 pub use trajectory::{Alignment, DRIFT_PATHS_M, Drift, align, relative_errors, tum};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow};
 use dataset::tables::is_partial;
 
-use crate::pose_run::PoseRun;
+use crate::other_run::OtherRun;
 use crate::stage::Artifact;
 
 /// A folder that this process has locked, or only looks at.
@@ -29,8 +29,8 @@ use crate::stage::Artifact;
 /// ```
 pub(crate) struct RunFolder {
     pub(super) root: PathBuf,
-    /// The run that poses are taken from.
-    pub(super) pose_run: Option<PoseRun>,
+    /// The runs whose maps are used.
+    pub(super) other_runs: Vec<OtherRun>,
     /// Held for the lifetime of this value; the system releases it when the process ends.
     _lock: Option<File>,
 }
@@ -41,12 +41,12 @@ impl RunFolder {
     pub(super) fn lock(root: PathBuf) -> Result<Self> {
         let lock = lock(&root)?;
         remove_partial_files(&root)?;
-        Ok(Self { root, pose_run: None, _lock: Some(lock) })
+        Ok(Self { root, other_runs: Vec::new(), _lock: Some(lock) })
     }
 
     /// A run folder that nothing is written to.
     pub(super) fn read_only(root: PathBuf) -> Self {
-        Self { root, pose_run: None, _lock: None }
+        Self { root, other_runs: Vec::new(), _lock: None }
     }
 
     /// A path in the run folder.
@@ -62,12 +62,12 @@ impl RunFolder {
         }
     }
 
-    /// The name of a file in the run folder, or in the run that poses are taken from; the file name alone
+    /// The name of a file in the run folder, or in a run whose map is used; the file name alone
     /// where it is elsewhere.
     pub(super) fn name_of(&self, path: &Path) -> String {
         let of_table = |path: &&Path| path.extension().is_some_and(|end| end == "parquet");
-        let of_pose_run = Some(path).filter(of_table).zip(self.pose_run.as_ref());
-        if let Some(name) = of_pose_run.and_then(|(path, pose_run)| pose_run.name_of(path)) {
+        let of_other_run = self.other_runs.iter().filter(|_| of_table(&path));
+        if let Some(name) = of_other_run.filter_map(|run| run.name_of(path)).next() {
             return name;
         }
         let name = path.strip_prefix(&self.root).ok().or(path.file_name().map(Path::new));

@@ -23,7 +23,7 @@ use crate::detector_evidence::starting_values;
 use crate::findings::Findings;
 use crate::goal::Goal;
 use crate::logs::LogFile;
-use crate::pose_run::PoseRun;
+use crate::other_run::OtherRun;
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 use crate::used_model::UsedModel;
@@ -114,12 +114,12 @@ impl Run {
             None => Goal::train(&config),
             Some(_) => Goal::detect(&config, config.detection().classifier),
         };
-        let pose_run = PoseRun::of(&config, goal, &folder)?;
+        let other_runs = OtherRun::of(&config, goal, &folder)?;
         let mut folder = match mode {
             Mode::DryRun { .. } => RunFolder::read_only(folder),
             _ => RunFolder::lock(folder)?,
         };
-        folder.pose_run = pose_run;
+        folder.other_runs = other_runs;
         Ok(Self {
             config,
             goal,
@@ -144,8 +144,16 @@ impl Run {
     }
 
     /// The finished run that poses are taken from.
-    pub(crate) fn pose_run(&self) -> Option<&PoseRun> {
-        self.folder.pose_run.as_ref()
+    pub(crate) fn pose_run(&self) -> Option<&OtherRun> {
+        self.folder.other_runs.first().filter(|_| !self.goal.detects())
+    }
+
+    /// The finished runs whose map the logs are added to.
+    pub(crate) fn known_maps(&self) -> &[OtherRun] {
+        match self.goal.detects() {
+            true => &self.folder.other_runs,
+            false => &[],
+        }
     }
 
     /// Whether the poses of a log are those of a finished run.

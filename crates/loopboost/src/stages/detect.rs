@@ -8,17 +8,20 @@ use optimize::Proposal;
 use register::Drive;
 
 use crate::config::usage;
-use crate::drives::{SiteDrives, closure_row, logs_of_sites};
+use crate::drives::closure_row;
 use crate::findings::Findings;
+use crate::known_map::KnownMap;
 use crate::logs::LogFile;
 use crate::run::{Done, Run};
 use crate::scorer::Scorer;
+use crate::site_drives::SiteDrives;
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 
 /// Registered scans -> candidates.parquet
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut task = run.task_of(Stage::Detect)?;
+    task.inputs.extend(KnownMap::inputs(run)?);
     if run.model.is_none() {
         check_registered(run)?;
         // Without a model there is no classifier, and the features are not used.
@@ -51,8 +54,8 @@ fn detect(run: &Run, provenance: &Provenance) -> Result<Done> {
     let finder = Finder { run, scorer: scorer.as_ref() };
     let mut done = Done::default();
     let mut rows = Vec::new();
-    for (site, logs) in logs_of_sites(run)? {
-        let site = SiteDrives::read(run, site, logs)?;
+    for site in SiteDrives::of_run(run)? {
+        let site = site?;
         let found = finder.candidates(&site);
         done.summaries.extend(found.summaries(&site));
         rows.extend(found.rows);
@@ -79,21 +82,24 @@ struct Found {
 }
 
 impl Finder<'_> {
-    /// The candidates within each drive of a site, and then those between its drives.
+    /// The candidates within each new drive of a site, and then those between its drives.
     fn candidates(&self, site: &SiteDrives) -> Found {
         let options = self.run.config.detection();
         let detector = self.run.detector();
         let mut found = Found { rows: Vec::new(), n_places: Vec::new() };
         let (mut drives, mut places) = (Vec::new(), Vec::new());
-        for registered in &site.drives {
+        for (k, registered) in site.drives.iter().enumerate() {
             let drive = registered.drive();
-            let of_drive =
-                Places::new(&drive, &drive.poses, options.place_step_m, options.place_half_m);
-            let min_path_m = options.min_path_m;
-            let candidates = self.with_classifier(&registered.rows, |classify| {
-                find_candidates(&drive, &of_drive, detector, min_path_m, classify)
-            });
-            found.rows.extend(candidates.iter().map(|found| row(&registered.rows, found)));
+            let known_poses = site.known_poses.get(k);
+            let poses = known_poses.unwrap_or(&drive.poses);
+            let of_drive = Places::new(&drive, poses, options.place_step_m, options.place_half_m);
+            if known_poses.is_none() {
+                let min_path_m = options.min_path_m;
+                let candidates = self.with_classifier(&registered.rows, |classify| {
+                    find_candidates(&drive, &of_drive, detector, min_path_m, classify)
+                });
+                found.rows.extend(candidates.iter().map(|found| row(&registered.rows, found)));
+            }
             found.n_places.push(of_drive.scans.len());
             if 1 < site.drives.len() {
                 drives.push(drive);
@@ -105,7 +111,7 @@ impl Finder<'_> {
             let places = Places::joined(places, &drive.starts);
             let rows = site.rows();
             let candidates = self.with_classifier(&rows, |classify| {
-                find_candidates_between(&drive, &places, detector, 1, classify)
+                find_candidates_between(&drive, &places, detector, site.n_known().max(1), classify)
             });
             found.rows.extend(candidates.iter().map(|found| row(&rows, found)));
         }

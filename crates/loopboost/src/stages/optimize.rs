@@ -1,5 +1,4 @@
 use std::collections::{BTreeSet, HashMap};
-use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow};
@@ -8,25 +7,29 @@ use dataset::tables::{
     write_trajectory,
 };
 use dataset::{
-    CandidateClosure, GraphEdge, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan,
-    Scan, ScanId, StampedPose, Subject, Trajectory,
+    CandidateClosure, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan, Scan,
+    ScanClosure, ScanId, StampedPose, Subject, Trajectory,
 };
 use model::{Detector, Model};
+use nalgebra::Matrix3;
 use optimize::{
-    Edge, JoinOutcome, Known, Proposal, Reason, Site, Solution, align_every_scan, close_loops,
+    JoinOutcome, Known, Proposal, Reason, Site, Solution, align_every_scan, close_loops,
     join_drives,
 };
 use register::{Drive, OdometryScan};
 use train::detector::{alignment_covariance, closure_covariance};
 
 use crate::drives::{
-    PosedScan, RegisteredDrive, SiteDrives, by_id, closure_row, evidence, logs_of_sites, matrix,
-    posed_scans, registration_limits, scans_of, upper_triangle,
+    PosedScan, RegisteredDrive, by_id, closure_row, evidence, matrix, posed_scans,
+    registration_limits, scans_of, upper_triangle,
 };
 use crate::findings::Findings;
+use crate::known_map::KnownMap;
 use crate::logs::LogFile;
+use crate::map_files::{Graph, is_same_drive, tum};
 use crate::run::{Done, Run, Task};
 use crate::scorer::Scorer;
+use crate::site_drives::SiteDrives;
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 
@@ -36,6 +39,7 @@ use crate::summary::Summary;
 /// The drives of a site, which are the segments of its logs, share a map where they share places.
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut task = run.task_of(Stage::Optimize)?;
+    task.inputs.extend(KnownMap::inputs(run)?);
     let trained = trained_model(run, &mut task)?;
     run.task(&task, |provenance| optimize(run, trained.as_ref(), &provenance))
 }
@@ -92,12 +96,12 @@ fn optimize(run: &Run, trained: Option<&Model>, provenance: &Provenance) -> Resu
     let detector = detector.unwrap_or_else(|| run.detector());
     let mut maps = Maps::default();
     let mut trajectories = Vec::new();
-    for (site, logs) in logs_of_sites(run)? {
-        let site = SiteDrives::read(run, site, logs)?;
+    for site in SiteDrives::of_run(run)? {
+        let site = site?;
         let first = maps.closures.len();
         let solved = solve(run, &site, detector, &candidates)?;
         let rows = site.rows();
-        maps.add(&rows, &solved);
+        maps.add(&rows, &site, &solved);
         let closures = Closures::of(&site, &maps.closures[first..]);
         for log in &site.logs {
             let scans = every_scan(run, log, &site, &solved)?;
@@ -137,15 +141,36 @@ fn solve(
     let finder = Proposals { candidates, found_with: run.detector(), detector };
     let min_path_m = run.config.detection().min_path_m;
     let (mut drives, mut solutions) = (Vec::new(), Vec::new());
-    for registered in &site.drives {
+    for (k, registered) in site.drives.iter().enumerate() {
         let drive = registered.drive();
-        let proposals = finder.within(&registered.rows);
-        solutions.push(close_loops(&drive, &proposals, detector, min_path_m));
+        solutions.push(match site.known_poses.get(k) {
+            Some(poses) => known_solution(poses),
+            None => {
+                let proposals = finder.within(&registered.rows);
+                close_loops(&drive, &proposals, detector, min_path_m)
+            }
+        });
         drives.push(drive);
     }
     let drive = Drive::joined(drives);
-    let proposals = finder.between(&site.rows(), &drive);
-    Ok(join_drives(&drive, &solutions, &Known::default(), &proposals, detector))
+    let rows = site.rows();
+    let proposals = finder.between(&rows, &drive);
+    let known = Known {
+        maps: site.known_groups(),
+        closures: site.known_closures.iter().filter_map(|c| proposal(&by_id(&rows), c)).collect(),
+    };
+    Ok(join_drives(&drive, &solutions, &known, &proposals, detector))
+}
+
+/// A drive of the known map. Its closures are those of the map.
+fn known_solution(poses: &[Pose2]) -> Solution {
+    Solution {
+        closures: Vec::new(),
+        poses: poses.to_vec(),
+        covariances: vec![Matrix3::zeros(); poses.len()],
+        edges: Vec::new(),
+        rounds: Vec::new(),
+    }
 }
 
 /// The poses at every scan of a log.
@@ -204,21 +229,26 @@ impl Proposals<'_> {
         // Those that a detector would not have compared were found for training only.
         let compared = self.candidates.iter().filter(|c| c.rank < self.detector.n_candidates);
         let proposal = |CandidateClosure { closure, .. }: &CandidateClosure| {
-            let evidence = evidence(closure);
-            Some(Proposal {
-                query: *rows.get(&closure.query)?,
-                reference: *rows.get(&closure.reference)?,
-                reference_from_query: closure.reference_from_query,
-                covariance: closure_covariance(
-                    &alignment_covariance(&matrix(closure.covariance), self.found_with),
-                    self.detector,
-                ),
-                evidence,
-                confidence: self.detector.confidence(&evidence),
-            })
+            let found = proposal(&rows, closure)?;
+            let alignment = alignment_covariance(&found.covariance, self.found_with);
+            let covariance = closure_covariance(&alignment, self.detector);
+            let confidence = self.detector.confidence(&found.evidence);
+            Some(Proposal { covariance, confidence, ..found })
         };
         compared.filter_map(proposal).collect()
     }
+}
+
+/// A closure as a proposal; `None` if one of its scans is not among the rows.
+fn proposal(rows: &HashMap<&ScanId, usize>, closure: &ScanClosure) -> Option<Proposal> {
+    Some(Proposal {
+        query: *rows.get(&closure.query)?,
+        reference: *rows.get(&closure.reference)?,
+        reference_from_query: closure.reference_from_query,
+        covariance: matrix(closure.covariance),
+        evidence: evidence(closure),
+        confidence: closure.confidence,
+    })
 }
 
 /// The closures of a site.
@@ -382,17 +412,21 @@ fn interpolated_poses(
 }
 
 impl Maps {
-    /// Adds the drives of a site, whose rows are `rows`.
-    fn add(&mut self, rows: &[RegisteredScan], site: &Site) {
-        let solution = &site.solution;
+    /// Adds the drives of a site, whose rows are `rows`. Those of the known map are in its run.
+    fn add(&mut self, rows: &[RegisteredScan], site: &SiteDrives, solved: &Site) {
+        let solution = &solved.solution;
         self.closures.extend(solution.closures.iter().map(|closure| JudgedClosure {
             closure: closure_row(rows, &closure.proposal),
             rejected: closure.rejected.map(|reason| reason.code().to_owned()),
         }));
+        let numbers = self.numbers(site, solved);
         let mut first_row = 0;
         for (drive, of_drive) in rows.chunk_by(is_same_drive).enumerate() {
-            let in_site = site.maps.iter().position(|map| map.contains(&drive)).unwrap_or_default();
             let poses = solution.poses[first_row..].iter().zip(&solution.covariances[first_row..]);
+            first_row += of_drive.len();
+            if drive < site.n_known() {
+                continue;
+            }
             let keyframes = of_drive.iter().zip(poses).filter(|(row, _)| row.is_keyframe);
             self.keyframes.extend(keyframes.map(|(row, (pose, covariance))| MapPose {
                 id: row.id.clone(),
@@ -402,99 +436,27 @@ impl Maps {
                 is_degenerate: row.is_degenerate,
                 segment: row.segment,
                 travel_m: row.travel_m,
-                map: self.n_maps + in_site as u32,
+                map: numbers[drive],
             }));
-            first_row += of_drive.len();
         }
         self.graph.add(rows, solution);
-        self.n_maps += site.maps.len() as u32;
+        self.n_maps = numbers.iter().map(|number| number + 1).fold(self.n_maps, u32::max);
     }
-}
 
-/// Whether two consecutive rows belong to the same drive.
-fn is_same_drive(a: &RegisteredScan, b: &RegisteredScan) -> bool {
-    (&a.id.log, a.segment) == (&b.id.log, b.segment)
-}
-
-/// `graph.g2o`: the pose graphs of all maps.
-#[derive(Default)]
-struct Graph {
-    n_vertices: usize,
-    comments: String,
-    vertices: String,
-    edges: String,
-    /// The edges by scan, for `graph.parquet`.
-    by_scan: Vec<GraphEdge>,
-}
-
-impl Graph {
-    /// Adds the graph of the drives of a site: its vertices are the scans that have an edge.
-    fn add(&mut self, rows: &[RegisteredScan], solution: &Solution) {
-        let mut ids = vec![None; rows.len()];
-        for &Edge { a, b, .. } in &solution.edges {
-            (ids[a], ids[b]) = (Some(0), Some(0));
-        }
-        for (row, id) in ids.iter_mut().enumerate() {
-            if row == 0 || !is_same_drive(&rows[row - 1], &rows[row]) {
-                let RegisteredScan { id: first, segment, .. } = &rows[row];
-                let _ = writeln!(
-                    self.comments,
-                    "# vertices from {}: log {}, segment {segment}",
-                    self.n_vertices, first.log
-                );
-            }
-            if id.is_none() {
-                continue;
-            }
-            *id = Some(self.n_vertices);
-            let Pose2 { x_m, y_m, heading_rad } = solution.poses[row];
-            let _ =
-                writeln!(self.vertices, "VERTEX_SE2 {} {x_m} {y_m} {heading_rad}", self.n_vertices);
-            self.n_vertices += 1;
-        }
-        for Edge { a, b, a_from_b, information } in &solution.edges {
-            let (Some(a), Some(b)) = (ids[*a], ids[*b]) else { continue };
-            let Pose2 { x_m, y_m, heading_rad } = a_from_b;
-            let upper = upper_triangle(information).map(|entry| entry.to_string()).join(" ");
-            let _ = writeln!(self.edges, "EDGE_SE2 {a} {b} {x_m} {y_m} {heading_rad} {upper}");
-        }
-        for Edge { a, b, a_from_b, information } in &solution.edges {
-            let Some(covariance) = information.try_inverse() else { continue };
-            self.by_scan.push(GraphEdge {
-                reference: rows[*a].id.clone(),
-                query: rows[*b].id.clone(),
-                reference_from_query: *a_from_b,
-                covariance: upper_triangle(&covariance),
+    /// The number of the map of each drive. A map with a drive of the known map keeps its number.
+    fn numbers(&self, site: &SiteDrives, solved: &Site) -> Vec<u32> {
+        let mut next = site.known_maps.iter().map(|number| number + 1).fold(self.n_maps, u32::max);
+        let mut numbers = vec![0; site.drives.len()];
+        for map in &solved.maps {
+            let known = map.iter().find_map(|&drive| site.known_maps.get(drive));
+            let number = known.copied().unwrap_or_else(|| {
+                next += 1;
+                next - 1
             });
+            map.iter().for_each(|&drive| numbers[drive] = number);
         }
+        numbers
     }
-
-    /// The text of the file. docs/detection.md describes it. The comments are at the end, because GTSAM
-    /// stops reading edges at a comment.
-    fn text(&self) -> String {
-        format!(
-            "{}{}# Poses of the lidar [m, rad]. Vertices are numbered along each drive.\n{}",
-            self.vertices, self.edges, self.comments
-        )
-    }
-}
-
-/// Poses as text, one line per pose: `stamp x y z qx qy qz qw`, in s, m and a unit quaternion.
-fn tum(trajectory: &Trajectory) -> String {
-    const SECOND_NS: u64 = 1_000_000_000;
-    let mut text = String::new();
-    for StampedPose { stamp_ns, pose, .. } in trajectory.poses() {
-        let sign = if *stamp_ns < 0 { "-" } else { "" };
-        let ns = stamp_ns.unsigned_abs();
-        let (seconds, rest) = (ns / SECOND_NS, ns % SECOND_NS);
-        let (sin, cos) = libm::sincos(pose.heading_rad / 2.0);
-        let _ = writeln!(
-            text,
-            "{sign}{seconds}.{rest:09} {:.9} {:.9} 0 0 0 {sin:.12} {cos:.12}",
-            pose.x_m, pose.y_m
-        );
-    }
-    text
 }
 
 fn write(
@@ -519,22 +481,4 @@ fn write(
         outputs.extend([table, text]);
     }
     Ok(outputs)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A quarter turn to the left: half of it is 45 deg, whose sine and cosine are 0.7071.
-    #[test]
-    fn a_trajectory_as_text_has_nanoseconds_and_quaternions() {
-        let heading_rad = std::f64::consts::FRAC_PI_2;
-        let pose =
-            |stamp_ns| StampedPose::new(stamp_ns, Pose2 { x_m: 1.5, y_m: -2.0, heading_rad });
-        let (trajectory, _) = Trajectory::new(vec![pose(1_000_000_007), pose(-1)]);
-        let text = tum(&trajectory);
-        let lines: Vec<&str> = text.lines().collect();
-        let rest = "1.500000000 -2.000000000 0 0 0 0.707106781187 0.707106781187";
-        assert_eq!(lines, [format!("-0.000000001 {rest}"), format!("1.000000007 {rest}")]);
-    }
 }

@@ -1,0 +1,123 @@
+//! The map of finished runs that drives are added to: `detect.maps`.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, anyhow};
+use dataset::tables::{Provenance, read_closures, read_poses, read_registered};
+use dataset::{Pose2, RangeLimits, ScanClosure};
+use register::RegisterOptions;
+use serde_json::Value;
+
+use crate::config::usage;
+use crate::drives::{RegisteredDrive, drives_of, scans_of};
+use crate::map_run::MapRun;
+use crate::run::Run;
+use crate::stage::Artifact;
+
+/// The drives of a finished run.
+pub(crate) struct KnownMap {
+    pub(crate) drives: Vec<RegisteredDrive>,
+    /// The optimized pose of each registered scan of each drive.
+    pub(crate) poses: Vec<Vec<Pose2>>,
+    /// The number of the map of each drive.
+    pub(crate) maps: Vec<u32>,
+    /// The accepted closures within and between them.
+    pub(crate) closures: Vec<ScanClosure>,
+}
+
+impl KnownMap {
+    /// Reads the map that the logs of a run are added to; `None` if the pipeline names none.
+    pub(crate) fn read(run: &Run) -> Result<Option<Self>> {
+        let runs = MapRun::known(run)?;
+        let Some(first) = runs.first() else { return Ok(None) };
+        let mut known =
+            Self { drives: Vec::new(), poses: Vec::new(), maps: Vec::new(), closures: Vec::new() };
+        let mut names = BTreeSet::new();
+        for map in &runs {
+            for log in map.logs() {
+                known.add_log(map, &log)?;
+                if !names.insert(log.clone()) {
+                    return Err(usage(format!(
+                        "`detect.maps`: two runs have a log `{log}`; remove one"
+                    )));
+                }
+            }
+            let (closures, _) = read_closures(&map.path(Artifact::Closures, ""))?;
+            let accepted = closures.into_iter().filter(|judged| judged.is_accepted());
+            known.closures.extend(accepted.map(|judged| judged.closure));
+        }
+        if let Some(log) = run.ingested_logs()?.iter().find(|log| names.contains(&log.name)) {
+            return Err(usage(format!(
+                "log `{}` is part of the map (`detect.maps`); remove it from `ingest.logs`, or rename it",
+                log.name
+            )));
+        }
+        // The numbers of maps are those of the first run.
+        let of_first: BTreeSet<u32> = first.numbers();
+        let stray = known.drives.iter().zip(&known.maps).find(|(_, map)| !of_first.contains(map));
+        if let Some((drive, map)) = stray {
+            return Err(usage(format!(
+                "`detect.maps`: log `{}` is in map {map}, which {} does not have: it shares no place with the logs of that run; remove its run",
+                drive.log().map_or("", |log| &**log),
+                first.folder().display()
+            )));
+        }
+        Ok(Some(known))
+    }
+
+    fn add_log(&mut self, map: &MapRun<'_>, log: &str) -> Result<()> {
+        let path = map.path(Artifact::Registered, log);
+        let (rows, provenance) = read_registered(&path)?;
+        let limits = limits(&path, &provenance, log)?;
+        let (optimized, _) = read_poses(&map.path(Artifact::ScanTrajectory, log))?;
+        let numbers: Vec<u32> = rows.iter().map(|row| row.id.scan).collect();
+        let scans = scans_of(&map.scans(log), &numbers)?;
+        for drive in drives_of(&rows, scans, limits) {
+            // A segment without keyframes is in no map.
+            let Some(number) = map.number(log, drive.segment()) else { continue };
+            let pose = |stamp_ns: i64| {
+                optimized.pose_at(stamp_ns, 0).with_context(|| {
+                    format!(
+                        "{}: no pose at {stamp_ns} ns",
+                        map.path(Artifact::ScanTrajectory, log).display()
+                    )
+                })
+            };
+            let poses = drive.rows.iter().map(|row| pose(row.stamp_ns)).collect::<Result<_>>()?;
+            self.drives.push(drive);
+            self.poses.push(poses);
+            self.maps.push(number);
+        }
+        Ok(())
+    }
+
+    /// The files that it is read from.
+    pub(crate) fn inputs(run: &Run) -> Result<Vec<PathBuf>> {
+        let mut inputs = Vec::new();
+        for map in MapRun::known(run)? {
+            for log in map.logs() {
+                let of_log = [Artifact::Registered, Artifact::Scans, Artifact::ScanTrajectory];
+                inputs.extend(of_log.map(|artifact| map.path(artifact, &log)));
+            }
+            inputs.extend([Artifact::Trajectory, Artifact::Closures].map(|a| map.path(a, "")));
+        }
+        Ok(inputs)
+    }
+}
+
+/// The range limits of the registration of a log, from the options of its table.
+fn limits(path: &Path, provenance: &Provenance, log: &str) -> Result<RangeLimits> {
+    let options = &provenance.options;
+    let metre = |k: usize| options["range_m"][log][k].as_f64();
+    let lidar = metre(0).zip(metre(1)).map(|(min_m, max_m)| RangeLimits { min_m, max_m });
+    let register: Option<RegisterOptions> =
+        serde_json::from_value::<RegisterOptions>(options["register"].clone()).ok();
+    register.zip(lidar).map(|(register, lidar)| register.limits(lidar)).ok_or_else(|| {
+        let found: &Value = options;
+        anyhow!(
+            "{}: the options of the table are {found}, expected `register` and `range_m` of the log `{log}`; repeat the run",
+            path.display()
+        )
+    })
+}
