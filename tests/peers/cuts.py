@@ -84,12 +84,12 @@ class Log:
         self.channels = {}
         self.last_ns, self.last_odometry = 0, None
 
-    def add(self, log, end_ns=None, without=()):
-        """Adds the messages of a log before `end_ns`, except those of some topics. The stamps and the
-        odometry continue those of the messages that were added before."""
+    def add(self, log, end_ns=None, without=(), start_ns=None):
+        """Adds the messages of a log from `start_ns` and before `end_ns`, except those of some topics. The
+        stamps and the odometry continue those of the messages that were added before."""
         shift_ns, last, first = None, self.last_odometry, None
         with open(log, "rb") as file:
-            for schema, channel, message in mcap.reader.make_reader(file).iter_messages(end_time=end_ns):
+            for schema, channel, message in mcap.reader.make_reader(file).iter_messages(start_time=start_ns, end_time=end_ns):
                 if channel.topic in without:
                     continue
                 if shift_ns is None:
