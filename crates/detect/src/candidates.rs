@@ -4,7 +4,7 @@ use dataset::Pose2;
 use model::{Detector, Evidence};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
-use register::{AlignOptions, Drive, Fit, closure_covariance, fit, fit_options};
+use register::{AlignOptions, Drive, Fit, Node, closure_covariance, fit, fit_options};
 
 use crate::correlation::{Peak, Query, Reference, Scores, UNIT};
 use crate::descriptor::Describer;
@@ -40,7 +40,7 @@ const N_POSES: usize = 3;
 /// The number does not depend on `n_candidates`, so fewer candidates are the first of more. On intel-lab,
 /// with 5 candidates per place, 5 places by descriptor alone find 162 of 202 revisits; 20, 30 and 50
 /// compared by correlation find 186, 194 and 195.
-const N_CORRELATED: usize = 50;
+pub(crate) const N_CORRELATED: usize = 50;
 /// For each place compared by correlation, this many are ranked by the classifier.
 const RANKED_PER_CORRELATED: usize = 2;
 /// The first gate of the alignment \[m\]: two squares of the submaps.
@@ -109,8 +109,7 @@ fn candidates_among(
     let rows: Vec<Vec<f32>> =
         places.nodes.par_iter().map(|node| describer.describe(node.submap())).collect();
     let similar = similar_places(places, &rows, n_references, detector, classify);
-    let finder =
-        Finder { places, detector, classify, options: fit_options(FIRST_GATE_M, MAX_ITERATIONS) };
+    let finder = Finder { places, detector, classify, options: options() };
     (0..places.nodes.len())
         .into_par_iter()
         .map(|query| finder.candidates(query, &similar[query]))
@@ -168,69 +167,87 @@ struct Finder<'a> {
 }
 
 /// A pair of places compared by correlation.
-struct Correlated {
-    reference: usize,
+pub(crate) struct Correlated {
+    pub(crate) reference: usize,
     /// The best poses.
-    peaks: Vec<Peak>,
+    pub(crate) peaks: Vec<Peak>,
     /// Best score per wall.
     score: f64,
     /// See [`Evidence::margin`].
-    margin: f64,
+    pub(crate) margin: f64,
 }
 
-impl Finder<'_> {
-    /// The candidates of a place.
-    fn candidates(&self, query: usize, references: &[usize]) -> Vec<Candidate> {
-        if references.is_empty() {
-            return Vec::new();
-        }
-        let turned = Query::new(self.places.nodes[query].submap());
-        let correlate = |&reference: &usize| self.correlate(&turned, reference);
-        let mut correlated: Vec<Correlated> = references.iter().filter_map(correlate).collect();
-        // Stable: of equal values, the more similar place comes first.
-        correlated.sort_by(|a, b| (b.score + b.margin).total_cmp(&(a.score + a.margin)));
-        correlated.truncate(self.detector.n_candidates as usize);
-        let candidate = |(rank, correlated)| self.candidate(query, correlated, rank);
-        (0u32..).zip(&correlated).filter_map(candidate).collect()
-    }
+/// How candidates are aligned.
+pub(crate) fn options() -> AlignOptions {
+    fit_options(FIRST_GATE_M, MAX_ITERATIONS)
+}
 
+/// Compares places with a query by correlation. The best one comes first; of equal ones, the first one.
+pub(crate) fn correlate(nodes: &[Node], query: &Node, references: &[usize]) -> Vec<Correlated> {
+    if references.is_empty() {
+        return Vec::new();
+    }
+    let turned = Query::new(query.submap());
+    let one = |&reference: &usize| Correlated::new(&nodes[reference], reference, &turned);
+    let mut correlated: Vec<Correlated> = references.iter().filter_map(one).collect();
+    correlated.sort_by(|a, b| (b.score + b.margin).total_cmp(&(a.score + a.margin)));
+    correlated
+}
+
+impl Correlated {
     /// `None` if no pose puts more walls onto walls than into free space.
-    fn correlate(&self, turned: &Query, reference: usize) -> Option<Correlated> {
-        let map = Reference::new(self.places.nodes[reference].submap());
+    fn new(node: &Node, reference: usize, turned: &Query) -> Option<Self> {
+        let map = Reference::new(node.submap());
         let peaks = Scores::new(&map, turned).peaks(N_POSES);
         let best = peaks.first().filter(|best| 0 < best.score)?.score;
         let second = peaks.get(1).map_or(0, |peak| peak.score);
         // Without a wall, there is no score above 0.
         let n_walls = map.n_walls().min(turned.n_walls()).max(1) as f64;
         let per_wall = |score: i32| f64::from(score) / f64::from(UNIT) / n_walls;
-        Some(Correlated {
-            reference,
-            peaks,
-            score: per_wall(best),
-            margin: per_wall(best - second),
-        })
+        Some(Self { reference, peaks, score: per_wall(best), margin: per_wall(best - second) })
+    }
+
+    /// The alignment of the best poses that fits best.
+    pub(crate) fn fit(&self, nodes: &[Node], query: &Node, options: &AlignOptions) -> Option<Fit> {
+        let best = self.peaks.first()?;
+        let is_aligned = |peak: &&Peak| best.score <= 2 * peak.score;
+        let starts = self.peaks.iter().filter(is_aligned);
+        let fits = starts.map(|peak| fit(&nodes[self.reference], query, &peak.pose, options));
+        // Of equal fits, the one with the higher score.
+        fits.reduce(|best, next| if value(&best) < value(&next) { next } else { best })
+    }
+}
+
+/// The evidence of a fit. `margin` is 0 without a correlation.
+pub(crate) fn evidence_of(fit: &Fit, margin: f64, classifier: Option<f64>) -> Evidence {
+    Evidence {
+        overlap: fit.overlap,
+        known_overlap: fit.known_overlap,
+        n_known: fit.n_known as u32,
+        conflict: fit.known_conflict(),
+        margin,
+        weakness: fit.alignment.weakness.map_or(0.0, |weakness| weakness.ratio),
+        classifier,
+    }
+}
+
+impl Finder<'_> {
+    /// The candidates of a place.
+    fn candidates(&self, query: usize, references: &[usize]) -> Vec<Candidate> {
+        let nodes = &self.places.nodes;
+        let mut correlated = correlate(nodes, &nodes[query], references);
+        correlated.truncate(self.detector.n_candidates as usize);
+        let candidate = |(rank, correlated)| self.candidate(query, correlated, rank);
+        (0u32..).zip(&correlated).filter_map(candidate).collect()
     }
 
     fn candidate(&self, query: usize, correlated: &Correlated, rank: u32) -> Option<Candidate> {
-        let (a, b) = (&self.places.nodes[correlated.reference], &self.places.nodes[query]);
-        let best = correlated.peaks.first()?;
-        let is_aligned = |peak: &&Peak| best.score <= 2 * peak.score;
-        let starts = correlated.peaks.iter().filter(is_aligned);
-        let fits = starts.map(|peak| fit(a, b, &peak.pose, &self.options));
-        // Of equal fits, the one with the higher score.
-        let fit =
-            fits.reduce(|best, next| if value(&best) < value(&next) { next } else { best })?;
+        let nodes = &self.places.nodes;
+        let fit = correlated.fit(nodes, &nodes[query], &self.options)?;
         let (query, reference) =
             (self.places.scans[query], self.places.scans[correlated.reference]);
-        let evidence = Evidence {
-            overlap: fit.overlap,
-            known_overlap: fit.known_overlap,
-            n_known: fit.n_known as u32,
-            conflict: fit.known_conflict(),
-            margin: correlated.margin,
-            weakness: fit.alignment.weakness.map_or(0.0, |weakness| weakness.ratio),
-            classifier: self.classify.map(|classify| classify(query, reference)),
-        };
+        let classifier = self.classify.map(|classify| classify(query, reference));
+        let evidence = evidence_of(&fit, correlated.margin, classifier);
         Some(Candidate {
             query,
             reference,
@@ -246,7 +263,7 @@ impl Finder<'_> {
 /// Overlap minus conflict, over all points plus over the points in known space. Two passes in opposite
 /// directions with a view of 180 deg share a small part of their points, and only the second term shows
 /// that this part agrees.
-fn value(fit: &Fit) -> f64 {
+pub(crate) fn value(fit: &Fit) -> f64 {
     fit.overlap - fit.conflict + fit.known_overlap - fit.known_conflict()
 }
 

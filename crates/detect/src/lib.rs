@@ -19,6 +19,8 @@
 //! A candidate is not a closure. Wrong candidates are expected: places with the same layout have the
 //! same evidence. `optimize` decides which candidates agree with each other and with the odometry.
 //!
+//! [`Locator`] takes one scan at a time, and finds and follows its position in a [`LocatorMap`] in the same way.
+//!
 //! The crate depends on neither Arrow, Parquet nor MCAP. Results do not depend on the number of threads
 //! or on the processor: sums whose order matters are in a fixed order, and the fast steps
 //! (product of matrices, correlation) are either exact or only a filter.
@@ -26,10 +28,17 @@
 mod candidates;
 mod correlation;
 mod descriptor;
+mod estimate;
+mod local_motion;
+mod locator;
+mod locator_map;
 mod places;
 mod retrieval;
+mod votes;
 
 pub use candidates::{Candidate, Classify, find_candidates, find_candidates_between};
 pub use descriptor::{DESCRIPTOR_LEN, Describer};
+pub use locator::{Fix, Locator, LocatorState};
+pub use locator_map::{LocatorMap, MapDrive};
 pub use places::Places;
 pub use retrieval::{Descriptors, Similar};

@@ -18,6 +18,8 @@ pub struct Descriptors {
     half_squares: Vec<f32>,
     /// The longest row.
     longest: f64,
+    /// Mean and scale of each number, `(len,)`.
+    scaling: Vec<[f64; 2]>,
 }
 
 /// A similar descriptor.
@@ -40,6 +42,7 @@ impl Descriptors {
         assert!(rows.iter().flatten().all(|v| v.is_finite()), "descriptors are finite");
         let n = rows.len().max(1) as f64;
         let mut values = vec![0.0; rows.len() * len];
+        let mut scaling = Vec::with_capacity(len);
         for column in 0..len {
             let of_column = || rows.iter().map(|row| f64::from(row[column]));
             let mean = of_column().sum::<f64>() / n;
@@ -50,6 +53,7 @@ impl Descriptors {
             for (row, value) in of_column().enumerate() {
                 values[row * len + column] = ((value - mean) * scale) as f32;
             }
+            scaling.push([mean, scale]);
         }
         let square = |row: &[f32]| row.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>();
         let squares: Vec<f64> =
@@ -59,6 +63,7 @@ impl Descriptors {
             values,
             half_squares: squares.iter().map(|&s| (s / 2.0) as f32).collect(),
             longest: libm::sqrt(squares.iter().copied().fold(0.0, f64::max)),
+            scaling,
         }
     }
 
@@ -93,6 +98,35 @@ impl Descriptors {
         similar.into_iter().flatten().collect()
     }
 
+    /// The `k` descriptors that are most similar to another one, which is scaled like these. The order is
+    /// that of [`Descriptors::most_similar`]. The time is that of one pass over all descriptors.
+    ///
+    /// # Panics
+    /// If the descriptor has another length.
+    pub fn most_similar_to(&self, row: &[f32], k: usize) -> Vec<Similar> {
+        assert!(self.n() == 0 || row.len() == self.len, "descriptors have the same length");
+        let scaled = row.iter().zip(&self.scaling).map(|(&v, [mean, scale])| {
+            let scaled = (f64::from(v) - mean) * scale;
+            scaled as f32
+        });
+        let scaled: Vec<f32> = scaled.collect();
+        let of_row = |reference: usize| Similar {
+            reference,
+            distance_squared: squared_distance(&scaled, self.row(reference)),
+        };
+        let mut similar: Vec<Similar> = (0..self.n()).map(of_row).collect();
+        if k < similar.len() && 0 < k {
+            similar.select_nth_unstable_by(k, nearer);
+        }
+        similar.truncate(k);
+        similar.sort_unstable_by(nearer);
+        similar
+    }
+
+    fn row(&self, k: usize) -> &[f32] {
+        &self.values[k * self.len..][..self.len]
+    }
+
     fn most_similar_of_block(
         &self,
         queries: &Range<usize>,
@@ -121,11 +155,7 @@ impl Descriptors {
                     distance_squared: self.distance_squared(query, reference),
                 })
                 .collect();
-            similar.sort_by(|a, b| {
-                a.distance_squared
-                    .total_cmp(&b.distance_squared)
-                    .then(a.reference.cmp(&b.reference))
-            });
+            similar.sort_by(nearer);
             similar.truncate(k);
             similar
         };
@@ -134,12 +164,7 @@ impl Descriptors {
 
     /// The squared distance of two descriptors, summed in the order of the numbers.
     fn distance_squared(&self, a: usize, b: usize) -> f64 {
-        let row = |k: usize| &self.values[k * self.len..][..self.len];
-        let square = |(a, b): (&f32, &f32)| {
-            let difference = f64::from(*a) - f64::from(*b);
-            difference * difference
-        };
-        row(a).iter().zip(row(b)).map(square).sum()
+        squared_distance(self.row(a), self.row(b))
     }
 
     /// How much `half_square - product` of a query can be wrong, for any reference.
@@ -187,6 +212,20 @@ impl Descriptors {
             );
         }
     }
+}
+
+/// The order of similar descriptors.
+fn nearer(a: &Similar, b: &Similar) -> std::cmp::Ordering {
+    a.distance_squared.total_cmp(&b.distance_squared).then(a.reference.cmp(&b.reference))
+}
+
+/// The squared distance, summed in the order of the numbers.
+fn squared_distance(a: &[f32], b: &[f32]) -> f64 {
+    let square = |(a, b): (&f32, &f32)| {
+        let difference = f64::from(*a) - f64::from(*b);
+        difference * difference
+    };
+    a.iter().zip(b).map(square).sum()
 }
 
 /// The references that can be among the k most similar ones of a query.
@@ -307,6 +346,18 @@ mod tests {
         check(&random_rows(n, 40), 3, &vec![n; n]);
         check(&random_rows(3, 1), 3, &[0, 1, 3]);
         check(&[], 3, &[]);
+    }
+
+    /// A row of the table as the other descriptor: the same distances.
+    #[test]
+    fn another_descriptor_is_scaled_like_those_of_the_table() {
+        let rows = random_rows(50, 12);
+        let descriptors = Descriptors::new(&rows);
+        for k in [0, 1, 7, 60] {
+            let expected = exhaustive(&descriptors, k, &[50; 50]);
+            assert_eq!(descriptors.most_similar_to(&rows[3], k), expected[3]);
+        }
+        assert!(Descriptors::new(&[]).most_similar_to(&rows[3], 4).is_empty());
     }
 
     /// Every row is there three times, and a fourth time with a difference far below the rounding error of

@@ -155,6 +155,11 @@ impl ScanMatcher {
         Self { noise, ..self }
     }
 
+    /// Sets the usual error of the odometry from the next keyframe on.
+    pub fn set_usual_noise(&mut self, noise: OdometryNoise) {
+        self.noise = noise;
+    }
+
     /// Matches the next keyframe: its points in the lidar frame and the pose of the lidar by odometry.
     ///
     /// Only the motion since the last keyframe is used from the odometry.
@@ -200,6 +205,18 @@ impl ScanMatcher {
             near_share: aligned.near_share,
             weakness: aligned.weakness,
             is_used: true,
+        }
+    }
+
+    /// Leaves out the keyframe before the last one if it is close to the one before it. So scans that are
+    /// close together can all be matched, and the target still covers the last metres of the path.
+    pub fn leave_out_close(&mut self, spacing_m: f64, turn_rad: f64) {
+        let Some(n) = self.recent.len().checked_sub(3) else { return };
+        let [before, keyframe] = [&self.recent[n].pose, &self.recent[n + 1].pose];
+        let is_close = before.distance_m(keyframe) < spacing_m
+            && before.heading_difference_rad(keyframe) < turn_rad;
+        if is_close {
+            self.recent.remove(n + 1);
         }
     }
 

@@ -1,0 +1,260 @@
+//! Where scans lie in a map, one scan at a time.
+
+use dataset::{Pose2, RangeLimits, Scan};
+use model::Detector;
+use nalgebra::Matrix3;
+use register::{AlignOptions, RegisterOptions, closure_covariance, fit};
+
+use crate::candidates::{Correlated, N_CORRELATED, correlate, evidence_of, options, value};
+use crate::descriptor::Describer;
+use crate::estimate::Estimate;
+use crate::local_motion::{LocalMotion, LocalPlace};
+use crate::locator_map::LocatorMap;
+use crate::votes::{Vote, Votes};
+
+/// What is known about the position of a scan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LocatorState {
+    /// There was no position yet.
+    Searching,
+    /// The position is known.
+    Located,
+    /// There was a position, but the scans stopped confirming it. The search has begun again.
+    Lost,
+}
+
+/// A position in a map.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fix {
+    /// Number of the map.
+    pub map: u32,
+    /// Pose of the lidar in the map.
+    pub pose: Pose2,
+    /// Covariance of x, y and heading of that pose, in the frame of the map. Errors of the map itself are
+    /// not in it.
+    pub covariance: Matrix3<f64>,
+    /// Confidence of the detector that the last alignment with the map is right, 0 to 1.
+    pub confidence: f64,
+}
+
+/// Finds and follows the position of a robot in a map.
+///
+/// 1. The scans of the last 10 m of path are matched with each other and joined into a submap.
+/// 2. While the position is unknown: every metre, the 50 most similar places of the map are compared with the
+///    submap by correlation. Up to `n_candidates` poses that differ are aligned. Each is a vote. A pose
+///    is accepted if votes from at least 5 positions along at least 6 m of path agree with it, if they are most
+///    of the positions, and if no other pose has more than half of the support. So a place that looks like
+///    another one gives no answer. At last, the submap has to fit the nearest places of the map.
+/// 3. Then, every metre, the submap is aligned with the nearest places of the map. If they do not fit any more for
+///    6 m of path, the position is lost, and the search begins again.
+///
+/// The time per scan has a bound that depends on the number of places only through the comparison of
+/// descriptors, and the memory has a bound.
+pub struct Locator<'a> {
+    map: &'a LocatorMap,
+    detector: &'a Detector,
+    describer: Option<Describer>,
+    options: AlignOptions,
+    motion: LocalMotion,
+    /// The pose of the last scan in the local frame.
+    last: Pose2,
+    votes: Votes,
+    state: LocatorState,
+    tracked: Option<Tracked>,
+    /// The path at which the map is compared next \[m\].
+    next_m: f64,
+}
+
+/// A known position.
+struct Tracked {
+    map: u32,
+    estimate: Estimate,
+    confidence: f64,
+    /// The path at the last comparison that fitted \[m\].
+    confirmed_m: f64,
+}
+
+/// The first comparison needs this much path \[m\]: less looks like too many places.
+const MIN_PATH_M: f64 = 3.0;
+/// Path between two comparisons \[m\].
+const STEP_M: f64 = 1.0;
+/// Two candidates of a position differ by more than this.
+const DISTINCT_M: f64 = 2.0;
+const DISTINCT_DEG: f64 = 15.0;
+/// Places farther away than this are not used to follow a position \[m\].
+const NEAR_M: f64 = 6.0;
+/// Number of places that a position is compared with.
+const N_NEAR: usize = 2;
+/// The most that an alignment may change the expected pose.
+const MAX_MOVE_M: f64 = 1.0;
+const MAX_MOVE_DEG: f64 = 8.0;
+/// A comparison needs this many points in known space.
+const MIN_KNOWN: usize = 30;
+/// Path without a comparison that fits, after which the position is lost \[m\].
+const LOST_M: f64 = 6.0;
+
+impl<'a> Locator<'a> {
+    /// A locator that knows nothing yet. `limits` are the range limits of the lidar.
+    pub fn new(
+        map: &'a LocatorMap,
+        detector: &'a Detector,
+        register: &RegisterOptions,
+        limits: RangeLimits,
+    ) -> Self {
+        let n_squares = map.nodes.first().map(|node| node.submap().n_squares());
+        Self {
+            map,
+            detector,
+            describer: n_squares.map(Describer::new),
+            options: options(),
+            motion: LocalMotion::new(register, limits, detector.odometry),
+            last: Pose2::default(),
+            votes: Votes::default(),
+            state: LocatorState::Searching,
+            tracked: None,
+            next_m: MIN_PATH_M,
+        }
+    }
+
+    /// Adds the next scan. `step` is the motion of the lidar since the scan before by odometry: the pose of
+    /// the lidar now in its frame then. Without it, the scans alone are matched.
+    pub fn add(&mut self, scan: &Scan, step: Option<Pose2>) -> LocatorState {
+        let pose = self.motion.add(scan, step);
+        let step = self.last.inverse() * pose;
+        self.last = pose;
+        if let Some(tracked) = &mut self.tracked {
+            tracked.estimate = tracked.estimate.moved(&step, &self.detector.drift);
+        }
+        if self.next_m <= self.motion.path_m() {
+            self.next_m = self.motion.path_m() + STEP_M;
+            if let Some(place) = self.motion.place() {
+                match self.tracked.take() {
+                    Some(tracked) => self.follow(tracked, &place),
+                    None => self.search(&place),
+                }
+            }
+        }
+        self.state
+    }
+
+    /// What is known about the position of the last scan.
+    pub fn state(&self) -> LocatorState {
+        self.state
+    }
+
+    /// The position of the last scan.
+    pub fn fix(&self) -> Option<Fix> {
+        self.tracked.as_ref().map(|tracked| Fix {
+            map: tracked.map,
+            pose: tracked.estimate.pose,
+            covariance: tracked.estimate.covariance,
+            confidence: tracked.confidence,
+        })
+    }
+
+    /// Path of the scans so far by scan matching \[m\].
+    pub fn path_m(&self) -> f64 {
+        self.motion.path_m()
+    }
+
+    fn search(&mut self, place: &LocalPlace) {
+        let votes = self.candidates(place);
+        self.votes.add(self.motion.path_m(), votes);
+        let Some(winner) = self.votes.winner(self.detector.min_confidence) else { return };
+        let expected = winner.map_from_local * self.last;
+        if let Some((estimate, confidence)) = self.compare(place, winner.map, &expected) {
+            let confirmed_m = self.motion.path_m();
+            self.tracked = Some(Tracked { map: winner.map, estimate, confidence, confirmed_m });
+            self.state = LocatorState::Located;
+            self.votes.clear();
+        }
+    }
+
+    /// Poses in the map that the submap fits.
+    fn candidates(&self, place: &LocalPlace) -> Vec<Vote> {
+        let Some(describer) = &self.describer else { return Vec::new() };
+        let nodes = &self.map.nodes;
+        let row = describer.describe(place.node.submap());
+        let similar = self.map.descriptors.most_similar_to(&row, N_CORRELATED);
+        let references: Vec<usize> = similar.iter().map(|similar| similar.reference).collect();
+        let correlated = correlate(nodes, &place.node, &references);
+        let node_from_local = place.local_from_node.inverse();
+        let vote = |correlated: &Correlated| {
+            let fit = correlated.fit(nodes, &place.node, &self.options)?;
+            let evidence = evidence_of(&fit, correlated.margin, None);
+            let map_from_node = self.map.poses[correlated.reference] * fit.a_from_b;
+            Some(Vote {
+                map: self.map.maps[correlated.reference],
+                map_from_local: map_from_node * node_from_local,
+                local: place.local_from_node,
+                confidence: self.detector.confidence(&evidence),
+            })
+        };
+        self.distinct(&correlated).into_iter().filter_map(vote).collect()
+    }
+
+    /// The best places whose best poses differ. Otherwise, the places of one stretch of path that was driven
+    /// several times would leave no room for another one that looks like it.
+    fn distinct<'b>(&self, correlated: &'b [Correlated]) -> Vec<&'b Correlated> {
+        let n = self.detector.n_candidates as usize;
+        let mut kept: Vec<(&Correlated, u32, Pose2)> = Vec::with_capacity(n);
+        for next in correlated {
+            if n <= kept.len() {
+                break;
+            }
+            let Some(peak) = next.peaks.first() else { continue };
+            let map = self.map.maps[next.reference];
+            let pose = self.map.poses[next.reference] * peak.pose;
+            let is_same = |(_, other_map, other): &(&Correlated, u32, Pose2)| {
+                map == *other_map
+                    && pose.distance_m(other) < DISTINCT_M
+                    && pose.heading_difference_rad(other) < DISTINCT_DEG.to_radians()
+            };
+            if !kept.iter().any(is_same) {
+                kept.push((next, map, pose));
+            }
+        }
+        kept.into_iter().map(|(correlated, ..)| correlated).collect()
+    }
+
+    fn follow(&mut self, mut tracked: Tracked, place: &LocalPlace) {
+        let path_m = self.motion.path_m();
+        if let Some((measured, confidence)) =
+            self.compare(place, tracked.map, &tracked.estimate.pose)
+        {
+            tracked.estimate = tracked.estimate.joined(&measured);
+            tracked.confidence = confidence;
+            tracked.confirmed_m = path_m;
+        }
+        match path_m - tracked.confirmed_m <= LOST_M {
+            true => self.tracked = Some(tracked),
+            false => self.state = LocatorState::Lost,
+        }
+    }
+
+    /// The pose of the last scan if the submap fits the map near an expected pose, with the confidence of
+    /// the detector.
+    fn compare(&self, place: &LocalPlace, map: u32, expected: &Pose2) -> Option<(Estimate, f64)> {
+        let node_from_scan = place.local_from_node.inverse() * self.last;
+        let map_from_node = *expected * node_from_scan.inverse();
+        let fits = self.map.nearest(map, &map_from_node, NEAR_M, N_NEAR).into_iter().map(|k| {
+            let start = self.map.poses[k].inverse() * map_from_node;
+            (k, fit(&self.map.nodes[k], &place.node, &start, &self.options))
+        });
+        // Of equal fits, the nearest one.
+        let (k, best) =
+            fits.reduce(|best, next| if value(&best.1) < value(&next.1) { next } else { best })?;
+        let found = self.map.poses[k] * best.a_from_b;
+        let is_near = found.distance_m(&map_from_node) < MAX_MOVE_M
+            && found.heading_difference_rad(&map_from_node) < MAX_MOVE_DEG.to_radians();
+        let evidence = evidence_of(&best, 0.0, None);
+        let is_fit = MIN_KNOWN <= best.n_known && self.detector.strong.accept(&evidence);
+        if !(is_near && is_fit) {
+            return None;
+        }
+        let covariance = closure_covariance(&best.alignment, &self.options, &self.detector.closure);
+        let at_node = Estimate::turned(found, &covariance, self.map.poses[k].heading_rad);
+        let estimate = at_node.moved(&node_from_scan, &self.detector.drift);
+        Some((estimate, self.detector.confidence(&evidence)))
+    }
+}
