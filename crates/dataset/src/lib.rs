@@ -37,6 +37,7 @@ mod codes;
 mod drive_map;
 mod ground;
 mod keyframe;
+mod located;
 mod loss_kind;
 mod losses;
 mod note_kind;
@@ -58,6 +59,7 @@ pub use drive_map::{
 };
 pub use ground::{Squares, common_frames};
 pub use keyframe::{Keyframe, ScanId};
+pub use located::{LocatedPose, LocatedScan, LocatedState};
 pub use loss_kind::LossKind;
 pub use losses::{Loss, Losses};
 pub use note_kind::NoteKind;

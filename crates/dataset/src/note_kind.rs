@@ -258,6 +258,20 @@ codes! {
             /// The logs with keyframes in the map.
             logs: Vec<String>,
         } => "the labels of {} rest on map {map} of the run {run}, which has no closure: its poses drift, and there are no revisits in it to learn from", of_logs(logs);
+        /// No scan of a log could be located in the map.
+        Warning "not_located" NotLocated {
+            /// Number of scans.
+            n_scans: u64,
+            /// Path by scan matching \[m\].
+            travel_m: f64,
+        } => "none of {} was located in the map, over {travel_m:.1} m of path: no pose was found from enough places along the path, or two poses fit nearly as well", count(*n_scans, "scan");
+        /// A position in the map was lost.
+        Info "position_lost" PositionLost {
+            /// How often.
+            n: u64,
+            /// Scans after the first position that were not located.
+            n_scans: u64,
+        } => "the position was lost {}: the scans stopped fitting the map; {} after the first position have none", times(*n), count(*n_scans, "scan");
         /// Labels were compared with the ground truth.
         Info "labels_compared" LabelsCompared {
             /// Pairs with a true pose of both scans.

@@ -38,7 +38,7 @@ mod votes;
 
 pub use candidates::{Candidate, Classify, find_candidates, find_candidates_between};
 pub use descriptor::{DESCRIPTOR_LEN, Describer};
-pub use locator::{Fix, Locator, LocatorState};
+pub use locator::{Locator, Position};
 pub use locator_map::{LocatorMap, MapDrive};
 pub use places::Places;
 pub use retrieval::{Descriptors, Similar};

@@ -115,7 +115,8 @@ impl LocalMotion {
         }
         self.matched = Some([self.odometry, pose]);
         let is_due = self.window.back().is_none_or(|last| {
-            spacing_m <= last.pose.distance_m(&pose)
+            has_odometry
+                || spacing_m <= last.pose.distance_m(&pose)
                 || turn_rad <= last.pose.heading_difference_rad(&pose)
         });
         if is_due && MIN_POINTS <= points.len() {

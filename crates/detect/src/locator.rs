@@ -1,9 +1,9 @@
 //! Where scans lie in a map, one scan at a time.
 
-use dataset::{Pose2, RangeLimits, Scan};
-use model::Detector;
+use dataset::{LocatedState, Pose2, RangeLimits, Scan};
+use model::{Detector, Evidence, StrongLimits};
 use nalgebra::Matrix3;
-use register::{AlignOptions, RegisterOptions, closure_covariance, fit};
+use register::{AlignOptions, Fit, RegisterOptions, closure_covariance, fit};
 
 use crate::candidates::{Correlated, N_CORRELATED, correlate, evidence_of, options, value};
 use crate::descriptor::Describer;
@@ -12,20 +12,9 @@ use crate::local_motion::{LocalMotion, LocalPlace};
 use crate::locator_map::LocatorMap;
 use crate::votes::{Vote, Votes};
 
-/// What is known about the position of a scan.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum LocatorState {
-    /// There was no position yet.
-    Searching,
-    /// The position is known.
-    Located,
-    /// There was a position, but the scans stopped confirming it. The search has begun again.
-    Lost,
-}
-
 /// A position in a map.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fix {
+pub struct Position {
     /// Number of the map.
     pub map: u32,
     /// Pose of the lidar in the map.
@@ -59,7 +48,7 @@ pub struct Locator<'a> {
     /// The pose of the last scan in the local frame.
     last: Pose2,
     votes: Votes,
-    state: LocatorState,
+    state: LocatedState,
     tracked: Option<Tracked>,
     /// The path at which the map is compared next \[m\].
     next_m: f64,
@@ -77,7 +66,7 @@ struct Tracked {
 /// The first comparison needs this much path \[m\]: less looks like too many places.
 const MIN_PATH_M: f64 = 3.0;
 /// Path between two comparisons \[m\].
-const STEP_M: f64 = 1.0;
+const STEP_M: f64 = 0.8;
 /// Two candidates of a position differ by more than this.
 const DISTINCT_M: f64 = 2.0;
 const DISTINCT_DEG: f64 = 15.0;
@@ -90,6 +79,13 @@ const MAX_MOVE_M: f64 = 1.0;
 const MAX_MOVE_DEG: f64 = 8.0;
 /// A comparison needs this many points in known space.
 const MIN_KNOWN: usize = 30;
+/// A comparison confirms a position within these limits. The limits of the detector are for pairs of places
+/// that need no other evidence. Here, other positions have found the same pose.
+const CONFIRMS: StrongLimits = StrongLimits { known_overlap: 0.5, conflict: 0.3 };
+/// Number of poses that other positions voted for, and that each position is asked about.
+const N_CARRIED: usize = 4;
+/// The points do not determine the position if the ratio of the smallest to the largest information is less.
+const DEGENERATE_RATIO: f64 = 0.1;
 /// Path without a comparison that fits, after which the position is lost \[m\].
 const LOST_M: f64 = 6.0;
 
@@ -110,7 +106,7 @@ impl<'a> Locator<'a> {
             motion: LocalMotion::new(register, limits, detector.odometry),
             last: Pose2::default(),
             votes: Votes::default(),
-            state: LocatorState::Searching,
+            state: LocatedState::Searching,
             tracked: None,
             next_m: MIN_PATH_M,
         }
@@ -118,7 +114,7 @@ impl<'a> Locator<'a> {
 
     /// Adds the next scan. `step` is the motion of the lidar since the scan before by odometry: the pose of
     /// the lidar now in its frame then. Without it, the scans alone are matched.
-    pub fn add(&mut self, scan: &Scan, step: Option<Pose2>) -> LocatorState {
+    pub fn add(&mut self, scan: &Scan, step: Option<Pose2>) -> LocatedState {
         let pose = self.motion.add(scan, step);
         let step = self.last.inverse() * pose;
         self.last = pose;
@@ -138,13 +134,13 @@ impl<'a> Locator<'a> {
     }
 
     /// What is known about the position of the last scan.
-    pub fn state(&self) -> LocatorState {
+    pub fn state(&self) -> LocatedState {
         self.state
     }
 
     /// The position of the last scan.
-    pub fn fix(&self) -> Option<Fix> {
-        self.tracked.as_ref().map(|tracked| Fix {
+    pub fn position(&self) -> Option<Position> {
+        self.tracked.as_ref().map(|tracked| Position {
             map: tracked.map,
             pose: tracked.estimate.pose,
             covariance: tracked.estimate.covariance,
@@ -158,14 +154,20 @@ impl<'a> Locator<'a> {
     }
 
     fn search(&mut self, place: &LocalPlace) {
-        let votes = self.candidates(place);
+        let mut votes = self.candidates(place);
+        let carried = self.votes.leaders(N_CARRIED);
+        for leader in carried {
+            if !votes.iter().any(|vote| vote.agrees(&leader)) {
+                votes.extend(self.carry(place, &leader));
+            }
+        }
         self.votes.add(self.motion.path_m(), votes);
-        let Some(winner) = self.votes.winner(self.detector.min_confidence) else { return };
+        let Some(winner) = self.votes.winner() else { return };
         let expected = winner.map_from_local * self.last;
         if let Some((estimate, confidence)) = self.compare(place, winner.map, &expected) {
             let confirmed_m = self.motion.path_m();
             self.tracked = Some(Tracked { map: winner.map, estimate, confidence, confirmed_m });
-            self.state = LocatorState::Located;
+            self.state = LocatedState::Located;
             self.votes.clear();
         }
     }
@@ -187,7 +189,8 @@ impl<'a> Locator<'a> {
                 map: self.map.maps[correlated.reference],
                 map_from_local: map_from_node * node_from_local,
                 local: place.local_from_node,
-                confidence: self.detector.confidence(&evidence),
+                margin: correlated.margin,
+                confidence: self.confidence(&evidence),
             })
         };
         self.distinct(&correlated).into_iter().filter_map(vote).collect()
@@ -228,8 +231,49 @@ impl<'a> Locator<'a> {
         }
         match path_m - tracked.confirmed_m <= LOST_M {
             true => self.tracked = Some(tracked),
-            false => self.state = LocatorState::Lost,
+            false => self.state = LocatedState::Lost,
         }
+    }
+
+    /// The confidence of a vote.
+    fn confidence(&self, evidence: &Evidence) -> f64 {
+        match DEGENERATE_RATIO <= evidence.weakness {
+            true => self.detector.confidence(evidence),
+            false => 0.0,
+        }
+    }
+
+    /// The vote of this position for a pose that other positions voted for. It is not always among the candidates
+    /// of the position itself. The margin is that of the other vote.
+    fn carry(&self, place: &LocalPlace, leader: &Vote) -> Option<Vote> {
+        let expected = leader.map_from_local * place.local_from_node;
+        let NearFit { fit, map_from_node, .. } = self.near_fit(place, leader.map, &expected)?;
+        let evidence = evidence_of(&fit, leader.margin, None);
+        Some(Vote {
+            map_from_local: map_from_node * place.local_from_node.inverse(),
+            local: place.local_from_node,
+            confidence: self.confidence(&evidence),
+            ..*leader
+        })
+    }
+
+    /// The alignment with the nearest places of a map. `None` if there is none near, or if the pose changes too
+    /// much.
+    fn near_fit(&self, place: &LocalPlace, map: u32, expected: &Pose2) -> Option<NearFit> {
+        let fits = self.map.nearest(map, expected, NEAR_M, N_NEAR).into_iter().map(|k| {
+            let start = self.map.poses[k].inverse() * *expected;
+            let fit = fit(&self.map.nodes[k], &place.node, &start, &self.options);
+            NearFit { reference: k, fit, map_from_node: self.map.poses[k] * fit.a_from_b }
+        });
+        // Of equal fits, the nearest one.
+        let best = fits.reduce(|best, next| match value(&best.fit) < value(&next.fit) {
+            true => next,
+            false => best,
+        })?;
+        let found = best.map_from_node;
+        let is_near = found.distance_m(expected) < MAX_MOVE_M
+            && found.heading_difference_rad(expected) < MAX_MOVE_DEG.to_radians();
+        is_near.then_some(best)
     }
 
     /// The pose of the last scan if the submap fits the map near an expected pose, with the confidence of
@@ -237,24 +281,23 @@ impl<'a> Locator<'a> {
     fn compare(&self, place: &LocalPlace, map: u32, expected: &Pose2) -> Option<(Estimate, f64)> {
         let node_from_scan = place.local_from_node.inverse() * self.last;
         let map_from_node = *expected * node_from_scan.inverse();
-        let fits = self.map.nearest(map, &map_from_node, NEAR_M, N_NEAR).into_iter().map(|k| {
-            let start = self.map.poses[k].inverse() * map_from_node;
-            (k, fit(&self.map.nodes[k], &place.node, &start, &self.options))
-        });
-        // Of equal fits, the nearest one.
-        let (k, best) =
-            fits.reduce(|best, next| if value(&best.1) < value(&next.1) { next } else { best })?;
-        let found = self.map.poses[k] * best.a_from_b;
-        let is_near = found.distance_m(&map_from_node) < MAX_MOVE_M
-            && found.heading_difference_rad(&map_from_node) < MAX_MOVE_DEG.to_radians();
-        let evidence = evidence_of(&best, 0.0, None);
-        let is_fit = MIN_KNOWN <= best.n_known && self.detector.strong.accept(&evidence);
-        if !(is_near && is_fit) {
+        let NearFit { reference, fit, map_from_node } =
+            self.near_fit(place, map, &map_from_node)?;
+        let evidence = evidence_of(&fit, 0.0, None);
+        if fit.n_known < MIN_KNOWN || !CONFIRMS.accept(&evidence) {
             return None;
         }
-        let covariance = closure_covariance(&best.alignment, &self.options, &self.detector.closure);
-        let at_node = Estimate::turned(found, &covariance, self.map.poses[k].heading_rad);
+        let covariance = closure_covariance(&fit.alignment, &self.options, &self.detector.closure);
+        let heading_rad = self.map.poses[reference].heading_rad;
+        let at_node = Estimate::turned(map_from_node, &covariance, heading_rad);
         let estimate = at_node.moved(&node_from_scan, &self.detector.drift);
         Some((estimate, self.detector.confidence(&evidence)))
     }
+}
+
+/// An alignment with a place near the expected pose.
+struct NearFit {
+    reference: usize,
+    fit: Fit,
+    map_from_node: Pose2,
 }

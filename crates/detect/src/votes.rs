@@ -11,7 +11,10 @@ pub(crate) struct Vote {
     pub(crate) map_from_local: Pose2,
     /// Where the scans were, in the local frame.
     pub(crate) local: Pose2,
-    /// Confidence of the detector, 0 to 1.
+    /// See [`model::Evidence::margin`].
+    pub(crate) margin: f64,
+    /// Confidence of the detector, 0 to 1. 0 if the points do not determine the position: in a bare corridor,
+    /// an alignment stays where it starts, and seems to agree with any other one.
     pub(crate) confidence: f64,
 }
 
@@ -39,12 +42,18 @@ const AGREES_DEG: f64 = 6.0;
 /// positions along a corridor; they speak neither for nor against.
 const CONTRADICTS_M: f64 = 3.0;
 const CONTRADICTS_DEG: f64 = 15.0;
+/// A position counts if one of its votes has this confidence.
+const MIN_CONFIDENCE: f64 = 0.5;
 /// The least number of positions that agree.
-const MIN_POSITIONS: usize = 5;
+const MIN_POSITIONS: usize = 4;
 /// The least path from the first to the last of them \[m\].
-const MIN_SPAN_M: f64 = 6.0;
+const MIN_SPAN_M: f64 = 3.0;
+/// The least path of all scans that they have seen \[m\].
+const MIN_PATH_M: f64 = 9.0;
 /// The least share of the positions from the first one that agrees to the last.
 const MIN_SHARE: f64 = 0.6;
+/// The most that one position counts: a confidence of 0.998.
+const MAX_LOG_ODDS: f64 = 6.0;
 /// The best rival has at most this share of the support.
 const MAX_RIVAL: f64 = 0.5;
 
@@ -55,9 +64,12 @@ fn difference(a: &Vote, b: &Vote) -> (f64, f64) {
     (a.distance_m(&b), a.heading_difference_rad(&b))
 }
 
-fn agrees(a: &Vote, b: &Vote) -> bool {
-    let (off_m, off_rad) = difference(a, b);
-    a.map == b.map && off_m < AGREES_M && off_rad < AGREES_DEG.to_radians()
+impl Vote {
+    /// Whether two votes are for the same pose.
+    pub(crate) fn agrees(&self, other: &Self) -> bool {
+        let (off_m, off_rad) = difference(self, other);
+        self.map == other.map && off_m < AGREES_M && off_rad < AGREES_DEG.to_radians()
+    }
 }
 
 fn contradicts(a: &Vote, b: &Vote) -> bool {
@@ -81,9 +93,24 @@ impl Votes {
         self.ballots.clear();
     }
 
+    /// The votes with the most support, each for another pose.
+    pub(crate) fn leaders(&self, n: usize) -> Vec<Vote> {
+        let all = self.ballots.iter().rev().flat_map(|ballot| &ballot.votes);
+        let mut ranked: Vec<(f64, Vote)> = all.map(|vote| (self.support(vote), *vote)).collect();
+        // Stable: of equal ones, the latest comes first.
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut leaders: Vec<Vote> = Vec::with_capacity(n);
+        for (_, vote) in ranked {
+            if leaders.len() < n && !leaders.iter().any(|leader| leader.agrees(&vote)) {
+                leaders.push(vote);
+            }
+        }
+        leaders
+    }
+
     /// The vote that decides, if enough positions along enough path agree with it, and no other pose is
-    /// nearly as well supported. `min_confidence` is the least confidence of a vote that counts as a position.
-    pub(crate) fn winner(&self, min_confidence: f64) -> Option<Vote> {
+    /// nearly as well supported.
+    pub(crate) fn winner(&self) -> Option<Vote> {
         let all = || self.ballots.iter().flat_map(|ballot| &ballot.votes);
         // Of equal ones, the latest: it needs no motion to be the pose of now.
         let (winner, support) = all().map(|vote| (*vote, self.support(vote))).fold(
@@ -94,7 +121,7 @@ impl Votes {
             },
         )?;
         let is_for = |ballot: &Ballot| {
-            let is_for = |vote: &Vote| min_confidence <= vote.confidence && agrees(&winner, vote);
+            let is_for = |vote: &Vote| MIN_CONFIDENCE <= vote.confidence && winner.agrees(vote);
             ballot.votes.iter().any(is_for)
         };
         let first = self.ballots.iter().position(is_for)?;
@@ -104,17 +131,20 @@ impl Votes {
         let span_m = self.ballots[last].path_m - self.ballots[first].path_m;
         let is_enough = MIN_POSITIONS <= n_for
             && MIN_SPAN_M <= span_m
+            && MIN_PATH_M <= self.ballots[last].path_m
             && MIN_SHARE * n_since as f64 <= n_for as f64;
         let rivals = all().filter(|vote| contradicts(&winner, vote));
         let rival = rivals.map(|vote| self.support(vote)).fold(0.0, f64::max);
         (is_enough && rival <= MAX_RIVAL * support).then_some(winner)
     }
 
-    /// The sum over the positions of the largest confidence of the votes that agree.
+    /// The sum over the positions of the log odds of the most confident vote that agrees. Positions that
+    /// speak against the pose count 0, and at most [`MAX_LOG_ODDS`] speak for it.
     fn support(&self, vote: &Vote) -> f64 {
         let of_ballot = |ballot: &Ballot| {
-            let agreeing = ballot.votes.iter().filter(|other| agrees(vote, other));
-            agreeing.map(|other| other.confidence).fold(0.0, f64::max)
+            let agreeing = ballot.votes.iter().filter(|other| vote.agrees(other));
+            let confidence = agreeing.map(|other| other.confidence).fold(0.0, f64::max);
+            libm::log(confidence / (1.0 - confidence)).clamp(0.0, MAX_LOG_ODDS)
         };
         self.ballots.iter().map(of_ballot).sum()
     }

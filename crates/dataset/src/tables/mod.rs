@@ -32,6 +32,7 @@ mod columns;
 mod evidence;
 mod file;
 mod graph;
+mod located;
 mod provenance;
 mod registered;
 mod scan_pairs;
@@ -50,6 +51,7 @@ pub use file::{
     digest_file, is_partial, read_provenance, read_table, write_atomically, write_file, write_table,
 };
 pub use graph::{read_graph, write_graph};
+pub use located::{read_located, write_located};
 pub use provenance::{FORMAT_VERSION, Provenance};
 pub use registered::{
     read_odometry, read_registered, read_trajectory, write_odometry, write_registered,
