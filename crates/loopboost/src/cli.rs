@@ -10,6 +10,7 @@ use crate::config::{Config, usage};
 use crate::findings::{Failure, Findings};
 use crate::import::ImportArgs;
 use crate::inspect::InspectArgs;
+use crate::locate::LocateArgs;
 use crate::map::MapCommand;
 use crate::run::{Mode, Run};
 use crate::score::ScoreArgs;
@@ -56,6 +57,8 @@ enum Command {
     Import(ImportArgs),
     /// Score pairs of scans with a model: confidence and label
     Score(ScoreArgs),
+    /// Find where the scans of logs lie in the map of a finished run
+    Locate(LocateArgs),
     /// Write the loop closures and the map of a run for Foxglove and for map_server
     View(ViewArgs),
     /// Compare the maps of two runs
@@ -274,6 +277,7 @@ impl Command {
             Self::Inspect(args) => inspect::inspect(&args),
             Self::Import(args) => args.execute(),
             Self::Score(args) => args.execute(),
+            Self::Locate(args) => args.execute(),
             Self::View(args) => args.execute(),
             Self::Map { command } => command.execute(),
             Self::Lineage { artifact } => done(lineage::lineage(&artifact)),

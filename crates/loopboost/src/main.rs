@@ -30,6 +30,7 @@ mod label_choice;
 mod label_truth;
 mod labelled;
 mod lineage;
+mod locate;
 mod logs;
 mod map;
 mod map_files;

@@ -12,6 +12,7 @@ use dataset::tables::{
 };
 use dataset::{GraphEdge, Keyframe, MapPose, Note, NoteKind, ScanId, StampedPose, Trajectory};
 use label::{Measurement, PoseGraph, Vertex};
+use serde_json::Value;
 
 use crate::config::usage;
 use crate::logs::LogFile;
@@ -60,7 +61,8 @@ impl<'a> MapRun<'a> {
         Ok(runs)
     }
 
-    fn of(other: &'a OtherRun, key: &str) -> Result<Self> {
+    /// Opens a run, with the checks of [`MapRun::open`]. `key` is the option that names it.
+    pub(crate) fn of(other: &'a OtherRun, key: &str) -> Result<Self> {
         let folder = other.folder.display();
         let remedy = "run `loopboost run` with a pipeline that has a section [detect], or `loopboost detect --model`, on these logs first";
         let manifest = Manifest::load_existing(&other.folder)
@@ -86,6 +88,11 @@ impl<'a> MapRun<'a> {
 
     pub(crate) fn folder(&self) -> &Path {
         &self.run.folder
+    }
+
+    /// The options of a task, such as `detect`. Null if the run has no such task.
+    pub(crate) fn options(&self, task: &str) -> Value {
+        self.manifest.tasks.get(task).map_or(Value::Null, |record| record.options.clone())
     }
 
     /// A file of the run.

@@ -192,7 +192,7 @@ fn depends_on_wheel_size(error: &anyhow::Error) -> bool {
 }
 
 /// The topics that `ingest` reads.
-fn topics(options: &Options) -> Vec<String> {
+pub(crate) fn topics(options: &Options) -> Vec<String> {
     let mut topics = vec![options.lidar.topic.clone()];
     if let Some(pose) = &options.pose {
         topics.extend([&pose.topic, &pose.imu].into_iter().flatten().cloned());
