@@ -58,3 +58,37 @@ impl Estimate {
         Self { pose, covariance }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const NO_DRIFT: Drift = Drift { std_m_per_sqrt_m: 0.0, std_rad_per_sqrt_m: 0.0 };
+
+    fn estimate(x_m: f64, variances: [f64; 3]) -> Estimate {
+        let pose = Pose2 { x_m, ..Pose2::default() };
+        Estimate { pose, covariance: Matrix3::from_diagonal(&Vector3::from(variances)) }
+    }
+
+    /// 2 m ahead, a heading error of variance 0.01 is one of 4 * 0.01 across.
+    #[test]
+    fn an_error_of_the_heading_becomes_one_of_the_position() {
+        let step = Pose2 { x_m: 2.0, ..Pose2::default() };
+        let moved = estimate(0.0, [0.1, 0.1, 0.01]).moved(&step, &NO_DRIFT);
+        assert!((moved.covariance[(1, 1)] - 0.14).abs() < 1e-12, "{moved:?}");
+        assert!((moved.covariance[(0, 0)] - 0.1).abs() < 1e-12, "{moved:?}");
+        assert!((moved.covariance[(1, 2)] - 0.02).abs() < 1e-12, "{moved:?}");
+    }
+
+    /// Equal estimates know no more together. Variances 1 and 3: information (1 + 1/3) / 2 = 2/3, and the
+    /// weights of the means are 3 to 1.
+    #[test]
+    fn two_estimates_are_joined_without_counting_twice() {
+        let one = estimate(1.0, [1.0, 1.0, 1.0]);
+        let same = one.joined(&one);
+        assert!((same.covariance - one.covariance).abs().max() < 1e-12);
+        let both = estimate(0.0, [1.0, 1.0, 1.0]).joined(&estimate(4.0, [3.0, 1.0, 1.0]));
+        assert!((both.covariance[(0, 0)] - 1.5).abs() < 1e-12);
+        assert!((both.pose.x_m - 1.0).abs() < 1e-12);
+    }
+}

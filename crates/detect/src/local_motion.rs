@@ -155,3 +155,45 @@ impl LocalMotion {
         Some(LocalPlace { node, local_from_node: middle.pose })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::TAU;
+
+    /// A round room of 3 m.
+    fn scan() -> Scan {
+        let mut scan = Scan { coverage_deg: 360.0, ..Scan::default() };
+        for k in 0..360 {
+            let (sin, cos) = libm::sincos(TAU * f64::from(k) / 360.0);
+            scan.x_m.push((3.0 * cos) as f32);
+            scan.y_m.push((3.0 * sin) as f32);
+        }
+        scan
+    }
+
+    /// A robot that turns on the spot by 30 deg per scan, and one that drives 0.5 m per scan by odometry.
+    #[test]
+    fn the_number_of_scans_is_bounded() {
+        let limits = RangeLimits { min_m: 0.1, max_m: 25.0 };
+        let noise = OdometryNoise {
+            std_m_per_m: 1e-6,
+            std_m: 1e-6,
+            std_rad_per_sqrt_m: 1e-6,
+            std_rad: 1e-6,
+        };
+        let turn = Pose2 { heading_rad: TAU / 12.0, ..Pose2::default() };
+        let mut motion = LocalMotion::new(&RegisterOptions::default(), limits, noise);
+        for _ in 0..2 * MAX_SCANS {
+            motion.add(&scan(), Some(turn));
+            assert!(motion.window.len() <= MAX_SCANS);
+        }
+        let drive = Pose2 { x_m: 0.5, ..Pose2::default() };
+        for _ in 0..2 * MAX_SCANS {
+            motion.add(&scan(), Some(drive));
+            assert!(motion.window.len() <= MAX_SCANS);
+        }
+        assert!(motion.window.len() < MAX_SCANS / 2);
+        assert!(motion.place().is_some());
+    }
+}

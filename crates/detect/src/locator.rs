@@ -1,7 +1,7 @@
 //! Where scans lie in a map, one scan at a time.
 
 use dataset::{LocatedState, Pose2, RangeLimits, Scan};
-use model::{Detector, Evidence, StrongLimits};
+use model::{Detector, StrongLimits};
 use nalgebra::Matrix3;
 use register::{AlignOptions, Fit, RegisterOptions, closure_covariance, fit};
 
@@ -29,16 +29,19 @@ pub struct Position {
 /// Finds and follows the position of a robot in a map.
 ///
 /// 1. The scans of the last 10 m of path are matched with each other and joined into a submap.
-/// 2. While the position is unknown: every metre, the 50 most similar places of the map are compared with the
-///    submap by correlation. Up to `n_candidates` poses that differ are aligned. Each is a vote. A pose
-///    is accepted if votes from at least 5 positions along at least 6 m of path agree with it, if they are most
-///    of the positions, and if no other pose has more than half of the support. So a place that looks like
-///    another one gives no answer. At last, the submap has to fit the nearest places of the map.
-/// 3. Then, every metre, the submap is aligned with the nearest places of the map. If they do not fit any more for
+/// 2. While the position is unknown: every 0.8 m, the 50 places of the map with the most similar descriptors are
+///    compared with the submap by correlation. The best poses, up to `n_candidates` that differ, are aligned.
+///    Each is a vote, with the confidence of the detector. The four poses that the positions before support
+///    best are aligned as well, so that a place is not missed because the search did not offer it.
+/// 3. A pose is accepted after 9 m of path if at least 4 positions along at least 3 m of path vote for it with a
+///    confidence of 0.5 or more, if these are most of the positions since, and if no other pose has more than
+///    half of its log odds. So a place that looks like another one gives no answer. At last, the submap has to
+///    fit the nearest places of the map.
+/// 4. Then, every 0.8 m, the submap is aligned with the nearest places of the map. If they do not fit any more for
 ///    6 m of path, the position is lost, and the search begins again.
 ///
-/// The time per scan has a bound that depends on the number of places only through the comparison of
-/// descriptors, and the memory has a bound.
+/// The time per scan and the memory are bounded. The only part of the time that grows with the map is the
+/// comparison of descriptors, with some thousand operations per place.
 pub struct Locator<'a> {
     map: &'a LocatorMap,
     detector: &'a Detector,
@@ -190,7 +193,7 @@ impl<'a> Locator<'a> {
                 map_from_local: map_from_node * node_from_local,
                 local: place.local_from_node,
                 margin: correlated.margin,
-                confidence: self.confidence(&evidence),
+                confidence: self.detector.confidence(&evidence),
             })
         };
         self.distinct(&correlated).into_iter().filter_map(vote).collect()
@@ -235,24 +238,20 @@ impl<'a> Locator<'a> {
         }
     }
 
-    /// The confidence of a vote.
-    fn confidence(&self, evidence: &Evidence) -> f64 {
-        match DEGENERATE_RATIO <= evidence.weakness {
-            true => self.detector.confidence(evidence),
-            false => 0.0,
-        }
-    }
-
     /// The vote of this position for a pose that other positions voted for. It is not always among the candidates
     /// of the position itself. The margin is that of the other vote.
     fn carry(&self, place: &LocalPlace, leader: &Vote) -> Option<Vote> {
         let expected = leader.map_from_local * place.local_from_node;
         let NearFit { fit, map_from_node, .. } = self.near_fit(place, leader.map, &expected)?;
         let evidence = evidence_of(&fit, leader.margin, None);
+        // In a bare corridor, an alignment stays where it starts, and seems to agree with any other one.
+        if evidence.weakness < DEGENERATE_RATIO {
+            return None;
+        }
         Some(Vote {
             map_from_local: map_from_node * place.local_from_node.inverse(),
             local: place.local_from_node,
-            confidence: self.confidence(&evidence),
+            confidence: self.detector.confidence(&evidence),
             ..*leader
         })
     }

@@ -13,8 +13,7 @@ pub(crate) struct Vote {
     pub(crate) local: Pose2,
     /// See [`model::Evidence::margin`].
     pub(crate) margin: f64,
-    /// Confidence of the detector, 0 to 1. 0 if the points do not determine the position: in a bare corridor,
-    /// an alignment stays where it starts, and seems to agree with any other one.
+    /// Confidence of the detector, 0 to 1.
     pub(crate) confidence: f64,
 }
 
@@ -147,5 +146,57 @@ impl Votes {
             libm::log(confidence / (1.0 - confidence)).clamp(0.0, MAX_LOG_ODDS)
         };
         self.ballots.iter().map(of_ballot).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn vote(x_m: f64, at_m: f64, confidence: f64) -> Vote {
+        let at = |x_m| Pose2 { x_m, ..Pose2::default() };
+        Vote { map: 0, map_from_local: at(x_m), local: at(at_m), margin: 0.2, confidence }
+    }
+
+    /// Positions every metre from 6 m on. The first one with 9 m of path behind it is the fourth.
+    #[test]
+    fn four_positions_that_agree_decide() {
+        let mut votes = Votes::default();
+        for k in 0..4 {
+            assert!(votes.winner().is_none(), "{k}");
+            let path_m = 6.0 + f64::from(k);
+            votes
+                .add(path_m, vec![vote(50.0, path_m, 0.9), vote(f64::from(k) * 20.0, path_m, 0.6)]);
+        }
+        assert!(
+            votes.winner().is_some_and(|winner| (winner.map_from_local.x_m - 50.0).abs() < 1e-9)
+        );
+    }
+
+    /// The log odds of 0.9 and 0.7 are 2.2 and 0.85: less than half. Those of 0.8 are 1.39.
+    #[test]
+    fn a_rival_with_more_than_half_of_the_log_odds_prevents_a_decision() {
+        for (confidence, is_decided) in [(0.7, true), (0.8, false)] {
+            let mut votes = Votes::default();
+            for k in 0..4 {
+                let path_m = 6.0 + f64::from(k);
+                let both = vec![vote(50.0, path_m, 0.9), vote(10.0, path_m, confidence)];
+                votes.add(path_m, both);
+            }
+            assert_eq!(votes.winner().is_some(), is_decided);
+        }
+    }
+
+    /// A robot that does not move forgets by number, one that drives by path.
+    #[test]
+    fn the_number_of_positions_is_bounded() {
+        let mut votes = Votes::default();
+        for k in 0..1000 {
+            votes.add(if k < 500 { 0.0 } else { f64::from(k) }, vec![vote(0.0, 0.0, 0.9)]);
+            assert!(votes.ballots.len() <= MAX_BALLOTS);
+        }
+        // Metres 974 to 999.
+        assert_eq!(votes.ballots.len(), 26);
+        assert!(votes.leaders(4).len() == 1);
     }
 }
