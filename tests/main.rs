@@ -20,6 +20,7 @@ mod faults_program;
 mod faults_scans;
 mod faults_wheels;
 mod import;
+mod locate;
 mod made;
 mod made_clouds;
 mod made_packets;

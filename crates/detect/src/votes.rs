@@ -51,6 +51,8 @@ const MIN_SPAN_M: f64 = 3.0;
 const MIN_PATH_M: f64 = 9.0;
 /// The least share of the positions from the first one that agrees to the last.
 const MIN_SHARE: f64 = 0.6;
+/// The least support. Look-alikes on the simulated campus had 0.3 to 0.9 per position, right poses 2 and more.
+const MIN_LOG_ODDS: f64 = 8.0;
 /// The most that one position counts: a confidence of 0.998.
 const MAX_LOG_ODDS: f64 = 6.0;
 /// The best rival has at most this share of the support.
@@ -129,6 +131,7 @@ impl Votes {
         let n_since = self.ballots.len() - first;
         let span_m = self.ballots[last].path_m - self.ballots[first].path_m;
         let is_enough = MIN_POSITIONS <= n_for
+            && MIN_LOG_ODDS <= support
             && MIN_SPAN_M <= span_m
             && MIN_PATH_M <= self.ballots[last].path_m
             && MIN_SHARE * n_since as f64 <= n_for as f64;
