@@ -108,7 +108,7 @@ impl<'a> Locator<'a> {
             options: options(),
             motion: LocalMotion::new(register, limits, detector.odometry),
             last: Pose2::default(),
-            votes: Votes::default(),
+            votes: Votes::new(detector.min_confidence),
             state: LocatedState::Searching,
             tracked: None,
             next_m: MIN_PATH_M,

@@ -24,9 +24,10 @@ struct Ballot {
 }
 
 /// The votes of the last metres.
-#[derive(Default)]
 pub(crate) struct Votes {
     ballots: VecDeque<Ballot>,
+    /// Confidence from which a vote speaks for a pose.
+    min_confidence: f64,
 }
 
 /// Votes older than this are forgotten \[m\]. Longer than the 20 m of driving that a fix may take.
@@ -41,8 +42,6 @@ const AGREES_DEG: f64 = 6.0;
 /// positions along a corridor; they speak neither for nor against.
 const CONTRADICTS_M: f64 = 3.0;
 const CONTRADICTS_DEG: f64 = 15.0;
-/// A position counts if one of its votes has this confidence.
-const MIN_CONFIDENCE: f64 = 0.5;
 /// The least number of positions that agree.
 const MIN_POSITIONS: usize = 4;
 /// The least path from the first to the last of them \[m\].
@@ -51,9 +50,9 @@ const MIN_SPAN_M: f64 = 3.0;
 const MIN_PATH_M: f64 = 9.0;
 /// The least share of the positions from the first one that agrees to the last.
 const MIN_SHARE: f64 = 0.6;
-/// The least support. Look-alikes on the simulated campus had 0.3 to 0.9 per position, right poses 2 and more.
-const MIN_LOG_ODDS: f64 = 8.0;
-/// The most that one position counts: a confidence of 0.998.
+/// The least support. Look-alikes on the simulated campus had up to 14.
+const MIN_LOG_ODDS: f64 = 18.0;
+/// The most that one position counts.
 const MAX_LOG_ODDS: f64 = 6.0;
 /// The best rival has at most this share of the support.
 const MAX_RIVAL: f64 = 0.5;
@@ -78,7 +77,17 @@ fn contradicts(a: &Vote, b: &Vote) -> bool {
     a.map != b.map || CONTRADICTS_M < off_m || CONTRADICTS_DEG.to_radians() < off_rad
 }
 
+/// The log odds of a confidence.
+fn log_odds(confidence: f64) -> f64 {
+    libm::log(confidence / (1.0 - confidence))
+}
+
 impl Votes {
+    /// No votes. From `min_confidence` on, a vote speaks for a pose.
+    pub(crate) fn new(min_confidence: f64) -> Self {
+        Self { ballots: VecDeque::new(), min_confidence }
+    }
+
     /// Adds the votes of the next position.
     pub(crate) fn add(&mut self, path_m: f64, votes: Vec<Vote>) {
         self.ballots.push_back(Ballot { path_m, votes });
@@ -122,7 +131,8 @@ impl Votes {
             },
         )?;
         let is_for = |ballot: &Ballot| {
-            let is_for = |vote: &Vote| MIN_CONFIDENCE <= vote.confidence && winner.agrees(vote);
+            let is_for =
+                |vote: &Vote| self.min_confidence <= vote.confidence && winner.agrees(vote);
             ballot.votes.iter().any(is_for)
         };
         let first = self.ballots.iter().position(is_for)?;
@@ -146,7 +156,7 @@ impl Votes {
         let of_ballot = |ballot: &Ballot| {
             let agreeing = ballot.votes.iter().filter(|other| vote.agrees(other));
             let confidence = agreeing.map(|other| other.confidence).fold(0.0, f64::max);
-            libm::log(confidence / (1.0 - confidence)).clamp(0.0, MAX_LOG_ODDS)
+            (log_odds(confidence) - log_odds(self.min_confidence)).clamp(0.0, MAX_LOG_ODDS)
         };
         self.ballots.iter().map(of_ballot).sum()
     }
@@ -161,29 +171,32 @@ mod tests {
         Vote { map: 0, map_from_local: at(x_m), local: at(at_m), margin: 0.2, confidence }
     }
 
-    /// Positions every metre from 6 m on. The first one with 9 m of path behind it is the fourth.
+    /// Positions every metre from 6 m on. The first one with 9 m of path behind it is the fourth. The log odds of
+    /// 0.99 are 4.6, four times that is more than 18.
     #[test]
     fn four_positions_that_agree_decide() {
-        let mut votes = Votes::default();
+        let mut votes = Votes::new(0.5);
         for k in 0..4 {
             assert!(votes.winner().is_none(), "{k}");
             let path_m = 6.0 + f64::from(k);
-            votes
-                .add(path_m, vec![vote(50.0, path_m, 0.9), vote(f64::from(k) * 20.0, path_m, 0.6)]);
+            votes.add(
+                path_m,
+                vec![vote(50.0, path_m, 0.99), vote(f64::from(k) * 20.0, path_m, 0.6)],
+            );
         }
         assert!(
             votes.winner().is_some_and(|winner| (winner.map_from_local.x_m - 50.0).abs() < 1e-9)
         );
     }
 
-    /// The log odds of 0.9 and 0.7 are 2.2 and 0.85: less than half. Those of 0.8 are 1.39.
+    /// The log odds of 0.99 and 0.9 are 4.6 and 2.2: less than half. Those of 0.92 are 2.44.
     #[test]
     fn a_rival_with_more_than_half_of_the_log_odds_prevents_a_decision() {
-        for (confidence, is_decided) in [(0.7, true), (0.8, false)] {
-            let mut votes = Votes::default();
+        for (confidence, is_decided) in [(0.9, true), (0.92, false)] {
+            let mut votes = Votes::new(0.5);
             for k in 0..4 {
                 let path_m = 6.0 + f64::from(k);
-                let both = vec![vote(50.0, path_m, 0.9), vote(10.0, path_m, confidence)];
+                let both = vec![vote(50.0, path_m, 0.99), vote(10.0, path_m, confidence)];
                 votes.add(path_m, both);
             }
             assert_eq!(votes.winner().is_some(), is_decided);
@@ -193,7 +206,7 @@ mod tests {
     /// A robot that does not move forgets by number, one that drives by path.
     #[test]
     fn the_number_of_positions_is_bounded() {
-        let mut votes = Votes::default();
+        let mut votes = Votes::new(0.5);
         for k in 0..1000 {
             votes.add(if k < 500 { 0.0 } else { f64::from(k) }, vec![vote(0.0, 0.0, 0.9)]);
             assert!(votes.ballots.len() <= MAX_BALLOTS);
