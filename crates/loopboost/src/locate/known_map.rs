@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Context, Result, anyhow};
-use dataset::tables::digest_file;
+use anyhow::{Result, anyhow};
+use dataset::tables::{digest_file, read_registered};
 use dataset::{Pose2, RangeLimits};
 use detect::{LocatorMap, MapDrive};
 use ingest::{LidarOptions, Options};
@@ -14,9 +14,9 @@ use serde::de::DeserializeOwned;
 use serde_json::Value;
 
 use crate::detection::DetectSection;
-use crate::drives::read_drives;
+use crate::drives::{drives_of, scans_of};
 use crate::map_run::MapRun;
-use crate::pose_run::PoseRun;
+use crate::other_run::OtherRun;
 use crate::stage::{Artifact, Stage};
 
 /// The places of a map, and how its logs were read.
@@ -44,8 +44,8 @@ fn recorded<T: DeserializeOwned>(folder: &Path, task: &str, value: &Value) -> Re
 impl KnownMap {
     /// Reads the map of a run folder. With `only`, only the places of these logs.
     pub(super) fn read(folder: &Path, only: &[String]) -> Result<Self> {
-        let run = PoseRun { name: folder.display().to_string(), folder: folder.to_owned() };
-        let run = MapRun::of(&run).context("--map")?;
+        let run = OtherRun { name: folder.display().to_string(), folder: folder.to_owned() };
+        let run = MapRun::of(&run, "--map")?;
         let logs: Vec<Arc<str>> = run.logs().into_iter().collect();
         if let Some(unknown) = only.iter().find(|name| !logs.iter().any(|log| **log == ***name)) {
             return Err(anyhow!(
@@ -72,8 +72,10 @@ impl KnownMap {
                 inputs.insert(name, digest_file(&run.path(artifact, log))?);
             }
             let trajectory = run.trajectory(log)?;
-            for drive in read_drives(&run.path(Artifact::Registered, log), &run.scans(log), limits)?
-            {
+            let (rows, _) = read_registered(&run.path(Artifact::Registered, log))?;
+            let numbers: Vec<u32> = rows.iter().map(|row| row.id.scan).collect();
+            let scans = scans_of(&run.scans(log), &numbers)?;
+            for drive in drives_of(&rows, scans, limits) {
                 let at =
                     |row: &dataset::RegisteredScan| trajectory.stamped_pose_at(row.stamp_ns, 0);
                 // A segment without keyframes is in no map.
