@@ -1,0 +1,289 @@
+//! Locates a drive in the map of another drive, and compares the positions with the ground truth.
+//!
+//! ```text
+//! cargo run --release -p detect --example locate -- RUN MAP_LOG LOG [--starts N] [--odometry] [--model FILE]
+//! ```
+//!
+//! `RUN` is a run folder with the scans, the map and the ground truth of both logs. Without `--starts`, the
+//! whole drive is located. With it, the search begins at N random scans, and ends with the first position or
+//! after 20 m of driving. A position is wrong if it is more than 1 m or 8 deg from the truth: the pose of
+//! the lidar relative to the nearest pose of the map is compared with the same relative pose by ground truth.
+//! So errors of the map farther away do not count.
+
+#![allow(clippy::print_stdout, reason = "an example prints its results")]
+
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use dataset::tables::scans::{read_scan_headers, read_scans};
+use dataset::tables::{TableError, read_poses, read_registered};
+use dataset::{LocatedState, Pose2, RangeLimits, Scan, SplitMix64, Trajectory};
+use detect::{Locator, LocatorMap, MapDrive, Position};
+use model::Detector;
+use register::{Drive, RegisterOptions, is_decided};
+
+/// A search ends after this much driving \[m\].
+const MOST_M: f64 = 20.0;
+const WRONG_M: f64 = 1.0;
+const WRONG_DEG: f64 = 8.0;
+/// Range limits of a Velodyne HDL-32E \[m\].
+const LIMITS: RangeLimits = RangeLimits { min_m: 0.9, max_m: 70.0 };
+const SEED: u64 = 7;
+
+/// A log of the run.
+struct Log {
+    folder: PathBuf,
+    name: String,
+    truth: Trajectory,
+}
+
+impl Log {
+    fn open(folder: &Path, name: &str) -> Result<Self, TableError> {
+        let truth = read_poses(&folder.join(format!("truth/{name}.parquet")))?.0;
+        Ok(Self { folder: folder.to_owned(), name: name.to_owned(), truth })
+    }
+
+    fn table(&self, kind: &str) -> PathBuf {
+        self.folder.join(format!("{kind}/{}.parquet", self.name))
+    }
+
+    fn scans(&self, numbers: &[u32]) -> Result<Vec<Scan>, TableError> {
+        let mut scans = Vec::new();
+        read_scans(&self.table("scans"), numbers, |batch| {
+            scans.extend(batch);
+            Ok::<_, TableError>(())
+        })?;
+        Ok(scans)
+    }
+}
+
+/// The map, and how to tell whether a position in it is right.
+struct Known {
+    map: LocatorMap,
+    poses: Vec<Pose2>,
+    truth: Vec<Pose2>,
+}
+
+fn known(log: &Log) -> Result<Known, Box<dyn Error>> {
+    let (rows, _) = read_registered(&log.table("registered"))?;
+    let (optimized, _) = read_poses(&log.table("trajectory"))?;
+    let numbers: Vec<u32> = rows.iter().map(|row| row.id.scan).collect();
+    let scans = log.scans(&numbers)?;
+    let at = |trajectory: &Trajectory| -> Result<Vec<Pose2>, dataset::NoPose> {
+        rows.iter().map(|row| trajectory.pose_at(row.stamp_ns, 1_000_000_000)).collect()
+    };
+    let (poses, truth) = (at(&optimized)?, at(&log.truth)?);
+    let drive = Drive::new(
+        scans.iter().collect(),
+        rows.iter().map(|row| row.odometry).collect(),
+        rows.iter().map(|row| row.pose).collect(),
+        rows.iter().map(|row| row.is_keyframe).collect(),
+        rows.iter().map(|row| is_decided(row.near_share, row.weakness)).collect(),
+        RegisterOptions::default().limits(LIMITS),
+    );
+    let map = LocatorMap::new(&[MapDrive { drive: &drive, poses: &poses, map: 0 }], 2.5, 5.0);
+    Ok(Known { map, poses, truth })
+}
+
+impl Known {
+    /// Error of a position \[m, rad\].
+    fn error(&self, position: &Position, truth: &Pose2) -> (f64, f64) {
+        let distance_m = |k: &usize| self.poses[*k].distance_m(&position.pose);
+        let nearest = (0..self.poses.len()).min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
+        let k = nearest.unwrap_or_default();
+        let expected = self.truth[k] * (self.poses[k].inverse() * position.pose);
+        (expected.distance_m(truth), expected.heading_difference_rad(truth))
+    }
+
+    fn is_wrong(&self, position: &Position, truth: &Pose2) -> bool {
+        let (off_m, off_rad) = self.error(position, truth);
+        WRONG_M < off_m || WRONG_DEG.to_radians() < off_rad
+    }
+}
+
+/// The value at a share of the sorted values.
+fn quantile(values: &mut [f64], share: f64) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let last = values.len().saturating_sub(1) as f64;
+    values.get((share * last).round() as usize).copied().unwrap_or(f64::NAN)
+}
+
+/// Resident memory of the process \[MB\], on Linux.
+fn memory_mb(key: &str) -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find(|line| line.starts_with(key))?;
+    Some(line.split_whitespace().nth(1)?.parse::<f64>().ok()? / 1024.0)
+}
+
+/// The scans of a drive with what is known about them.
+struct Queries {
+    log: Log,
+    truth: Vec<Pose2>,
+    /// Driven by ground truth up to each scan \[m\].
+    path_m: Vec<f64>,
+    /// Poses by odometry, or none.
+    odometry: Option<Vec<Pose2>>,
+}
+
+impl Queries {
+    fn open(log: Log, with_odometry: bool) -> Result<Self, Box<dyn Error>> {
+        let (headers, _) = read_scan_headers(&log.table("scans"))?;
+        let at = |trajectory: &Trajectory| -> Result<Vec<Pose2>, dataset::NoPose> {
+            headers.iter().map(|h| trajectory.pose_at(h.stamp_ns, 1_000_000_000)).collect()
+        };
+        let truth = at(&log.truth)?;
+        let odometry = match with_odometry {
+            true => Some(at(&read_poses(&log.table("poses"))?.0)?),
+            false => None,
+        };
+        let mut path_m = vec![0.0; truth.len()];
+        for k in 1..truth.len() {
+            path_m[k] = path_m[k - 1] + truth[k - 1].distance_m(&truth[k]);
+        }
+        Ok(Self { log, truth, path_m, odometry })
+    }
+
+    fn step(&self, k: usize) -> Option<Pose2> {
+        let odometry = self.odometry.as_ref()?;
+        let before = odometry.get(k.checked_sub(1)?)?;
+        Some(before.inverse() * odometry[k])
+    }
+}
+
+fn starts(
+    known: &Known,
+    queries: &Queries,
+    detector: &Detector,
+    n: usize,
+) -> Result<(), Box<dyn Error>> {
+    let mut random = SplitMix64::new(SEED);
+    let last_m = queries.path_m.last().copied().unwrap_or_default() - MOST_M;
+    let n_possible = queries.path_m.partition_point(|&m| m < last_m);
+    let (mut n_right, mut n_wrong) = (0, 0);
+    let (mut first_m, mut times_ms) = (Vec::new(), Vec::new());
+    for _ in 0..n {
+        let from = (random.unit() * n_possible as f64) as usize;
+        let to = queries.path_m.partition_point(|&m| m <= queries.path_m[from] + MOST_M);
+        let numbers: Vec<u32> = (from as u32..to as u32).collect();
+        let scans = queries.log.scans(&numbers)?;
+        let mut locator = Locator::new(&known.map, detector, &RegisterOptions::default(), LIMITS);
+        let mut outcome = "none";
+        for (k, scan) in (from..to).zip(&scans) {
+            let begin = Instant::now();
+            locator.add(scan, if k == from { None } else { queries.step(k) });
+            times_ms.push(begin.elapsed().as_secs_f64() * 1e3);
+            let Some(position) = locator.position() else { continue };
+            first_m.push(queries.path_m[k] - queries.path_m[from]);
+            let is_wrong = known.is_wrong(&position, &queries.truth[k]);
+            if is_wrong {
+                let (off_m, off_rad) = known.error(&position, &queries.truth[k]);
+                println!(
+                    "wrong by {off_m:.2} m, {:.1} deg, confidence {:.2}",
+                    off_rad.to_degrees(),
+                    position.confidence
+                );
+            }
+            outcome = if is_wrong { "wrong" } else { "right" };
+            break;
+        }
+        match outcome {
+            "right" => n_right += 1,
+            "wrong" => n_wrong += 1,
+            _ => {}
+        }
+        if outcome != "right" {
+            let pose = queries.truth[from];
+            println!("start at scan {from} ({:.0}, {:.0}): {outcome}", pose.x_m, pose.y_m);
+        }
+    }
+    println!("{n} starts: {n_right} right, {n_wrong} wrong, {} none", n - n_right - n_wrong);
+    println!(
+        "first position after: median {:.1} m, p99 {:.1} m",
+        quantile(&mut first_m, 0.5),
+        quantile(&mut first_m, 0.99)
+    );
+    print_times(&mut times_ms);
+    Ok(())
+}
+
+fn whole(known: &Known, queries: &Queries, detector: &Detector) -> Result<(), Box<dyn Error>> {
+    let mut locator = Locator::new(&known.map, detector, &RegisterOptions::default(), LIMITS);
+    let (mut times_ms, mut errors_m, mut nees) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut n_wrong, mut n_lost, mut state) = (0, 0, LocatedState::Searching);
+    let all: Vec<usize> = (0..queries.truth.len()).collect();
+    for block in all.chunks(256) {
+        let numbers: Vec<u32> = block.iter().map(|&k| k as u32).collect();
+        for (&k, scan) in block.iter().zip(&queries.log.scans(&numbers)?) {
+            let begin = Instant::now();
+            let next = locator.add(scan, queries.step(k));
+            times_ms.push(begin.elapsed().as_secs_f64() * 1e3);
+            if next != state {
+                println!("scan {k}, {:.1} m: {next:?}", queries.path_m[k]);
+                n_lost += usize::from(next == LocatedState::Lost);
+                state = next;
+            }
+            if let Some(position) = locator.position() {
+                let (off_m, _) = known.error(&position, &queries.truth[k]);
+                errors_m.push(off_m);
+                nees.push(
+                    off_m * off_m / (position.covariance[(0, 0)] + position.covariance[(1, 1)]),
+                );
+                n_wrong += usize::from(known.is_wrong(&position, &queries.truth[k]));
+            }
+        }
+    }
+    println!(
+        "{} of {} scans located, {n_wrong} wrong, lost {n_lost} times",
+        errors_m.len(),
+        queries.truth.len()
+    );
+    println!(
+        "error: median {:.3} m, p99 {:.3} m; squared error / variance: median {:.2}",
+        quantile(&mut errors_m, 0.5),
+        quantile(&mut errors_m, 0.99),
+        quantile(&mut nees, 0.5)
+    );
+    print_times(&mut times_ms);
+    Ok(())
+}
+
+fn print_times(times_ms: &mut [f64]) {
+    println!(
+        "time per scan: median {:.1} ms, p99 {:.1} ms, most {:.1} ms",
+        quantile(times_ms, 0.5),
+        quantile(times_ms, 0.99),
+        quantile(times_ms, 1.0)
+    );
+    if let Some((now, most)) = memory_mb("VmRSS").zip(memory_mb("VmHWM")) {
+        println!("memory: {now:.0} MB now, {most:.0} MB at most");
+    }
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let (mut n_starts, mut with_odometry, mut names) = (None, false, Vec::new());
+    let mut detector = Detector::starting_values();
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--starts" => n_starts = Some(arguments.next().ok_or("--starts needs N")?.parse()?),
+            "--odometry" => with_odometry = true,
+            "--model" => {
+                let model = model::load(Path::new(&arguments.next().ok_or("--model needs FILE")?))?;
+                detector = model.detector.ok_or("the model has no detector")?;
+            }
+            _ => names.push(argument),
+        }
+    }
+    let [run, map_log, log] = names.as_slice() else {
+        return Err("expected RUN MAP_LOG LOG".into());
+    };
+    let known = known(&Log::open(Path::new(run), map_log)?)?;
+    let mb = memory_mb("VmRSS").unwrap_or(f64::NAN);
+    println!("map: {} places, {mb:.0} MB", known.map.n_places());
+    let queries = Queries::open(Log::open(Path::new(run), log)?, with_odometry)?;
+    match n_starts {
+        Some(n) => starts(&known, &queries, &detector, n),
+        None => whole(&known, &queries, &detector),
+    }
+}
