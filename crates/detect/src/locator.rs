@@ -33,10 +33,11 @@ pub struct Position {
 ///    compared with the submap by correlation. The best poses, up to `n_candidates` that differ, are aligned.
 ///    Each is a vote, with the confidence of the detector. The four poses that the positions before support
 ///    best are aligned as well, so that a place is not missed because the search did not offer it.
-/// 3. A pose is accepted after 9 m of path if at least 4 positions along at least 3 m of path vote for it with a
-///    confidence of 0.5 or more, if these are most of the positions since, if their log odds sum up to 8, and if no
-///    other pose has more than half of that. So a place that looks like another one gives no answer. At last, the submap has to
-///    fit the nearest places of the map.
+/// 3. A vote speaks for a pose if its confidence is at least `min_confidence`, and its weight is the difference of
+///    the log odds of the two. A pose is accepted after 9 m of path if at least 4 positions along at least 3 m of
+///    path vote for it, if these are most of the positions since, if their weights sum up to 18, and if no other
+///    pose has more than half of that. So a place that looks like another one gives no answer. At last, the
+///    submap has to fit the nearest places of the map.
 /// 4. Then, every 0.8 m, the submap is aligned with the nearest places of the map. If they do not fit any more for
 ///    6 m of path, the position is lost, and the search begins again.
 ///
