@@ -150,8 +150,8 @@ impl Votes {
         (is_enough && rival <= MAX_RIVAL * support).then_some(winner)
     }
 
-    /// The sum over the positions of the log odds of the most confident vote that agrees. Positions that
-    /// speak against the pose count 0, and at most [`MAX_LOG_ODDS`] speak for it.
+    /// The sum over the positions of the weight of the most confident vote that agrees: its log odds minus those
+    /// of `min_confidence`, from 0 to [`MAX_LOG_ODDS`].
     fn support(&self, vote: &Vote) -> f64 {
         let of_ballot = |ballot: &Ballot| {
             let agreeing = ballot.votes.iter().filter(|other| vote.agrees(other));
