@@ -9,7 +9,7 @@ comments in a file. The script needs numpy, pyarrow and mcap.
 
 Halves: a log is cut in the middle of its time. The second half gets odometry of its own, so that nothing is known
 of the relative pose of the two. Different buildings are given as one site. Two drives through equal buildings, one
-in each, cannot be told apart by their scans: docs/maps.md states this limit.
+in each, look the same to their scans: docs/maps.md states this limit.
 """
 
 import argparse

@@ -75,6 +75,9 @@ pub struct Site {
 
 /// Each place is compared with the nearest place of the other map.
 const PLACE_LIMIT: Limit = Limit { most: 1, every_m: 2.5 };
+/// The same for keyframes. Another day looks different in places, so there are more references than within a
+/// drive.
+const KEYFRAME_LIMIT: Limit = Limit { most: 5, every_m: 1.5 };
 /// Path over which the drift of a map counts at most \[m\]. Closures within a map end it sooner.
 const MAX_DRIFT_M: f64 = 100.0;
 /// Squared error in standard deviations up to which two candidates agree on a relative pose: three of
@@ -496,7 +499,7 @@ impl<'a> SiteMaps<'a> {
             let poses = self.aligned(pair, confirmed);
             let [in_a, in_b] = [pair.a, pair.b].map(|map| self.is_in(map));
             let is_pair = |a: usize, b: usize| a < b && (in_a[a] && in_b[b] || in_b[a] && in_a[b]);
-            let mut compared = compare_keyframes(self.drive, &poses, &is_pair);
+            let mut compared = compare_keyframes(self.drive, &poses, &is_pair, KEYFRAME_LIMIT);
             let unsupported = mark_unsupported(&self.drive.path_m, &mut compared);
             let mut n_dropped = 0;
             for (k, link) in links.iter().enumerate() {

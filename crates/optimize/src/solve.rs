@@ -11,7 +11,7 @@ use crate::gnc::reject_false_closures;
 use crate::graph::{Edge, covariances};
 use crate::guided::{Compared, Limit, NearPoses, compare, covariance, predictions};
 use crate::places::{Places, carry, chain};
-use crate::support::{Graph, Link, groups, is_close};
+use crate::support::{Graph, Link, groups, is_close, largest_share};
 use crate::{Closure, Proposal, Reason, Solution};
 
 /// Proposals with more overlap are offered to the pose graph, whatever their confidence. What is right on
@@ -98,7 +98,7 @@ pub fn close_loops(
         let is_pair = |reference: usize, query: usize| {
             min_path_m <= drive.path_m[query] - drive.path_m[reference]
         };
-        let mut compared = compare_keyframes(drive, &poses, &is_pair);
+        let mut compared = compare_keyframes(drive, &poses, &is_pair, KEYFRAME_LIMIT);
         let unsupported = mark_unsupported(&drive.path_m, &mut compared);
         let mut n_dropped = 0;
         for (position, link) in links.iter().enumerate() {
@@ -122,18 +122,6 @@ const MIN_KEYFRAME_SHARE: f64 = 0.6;
 /// The confirmed pairs of a group fit well from this median overlap of known points on. Right groups of
 /// more than 60 pairs had 0.56 and more; wrong ones less.
 const WELL_KNOWN_OVERLAP: f64 = 0.55;
-/// The 97.5 % quantile of the standard normal distribution.
-const Z: f64 = 1.96;
-
-/// The upper end of the 95 % confidence interval of a share (Wilson 1927, "Probable inference, the law of
-/// succession, and statistical inference").
-fn largest_share(n_confirmed: usize, n_pairs: usize) -> f64 {
-    let n = n_pairs as f64;
-    let share = n_confirmed as f64 / n;
-    let half_width = Z * (share * (1.0 - share) / n + Z * Z / (4.0 * n * n)).sqrt();
-    (share + Z * Z / (2.0 * n) + half_width) / (1.0 + Z * Z / n)
-}
-
 /// Marks the pairs of keyframes in groups with too few confirmed pairs. Returns the path length at both
 /// keyframes of each pair in these groups, except groups without any confirmed pair.
 pub(crate) fn mark_unsupported(
@@ -198,12 +186,13 @@ pub(crate) fn compare_keyframes(
     drive: &Drive<'_>,
     poses: &[Pose2],
     is_pair: &(dyn Fn(usize, usize) -> bool + Sync),
+    limit: Limit,
 ) -> Vec<ComparedKeyframes> {
     let keyframes: Vec<usize> = (0..drive.scans.len()).filter(|&k| drive.is_keyframe[k]).collect();
     let keyframe_poses: Vec<Pose2> = keyframes.iter().map(|&k| poses[k]).collect();
     let path_m: Vec<f64> = keyframes.iter().map(|&k| drive.path_m[k]).collect();
     let is_pair = |a: usize, b: usize| is_pair(keyframes[a], keyframes[b]);
-    let predicted = predictions(&path_m, &keyframe_poses, &is_pair, Some(KEYFRAME_LIMIT));
+    let predicted = predictions(&path_m, &keyframe_poses, &is_pair, Some(limit));
     let places = Places::new(drive, poses, keyframes);
     compare(&places, &predicted)
         .into_iter()

@@ -12,9 +12,9 @@ use crate::{Proposal, Round};
 const GROUP_M: f64 = 6.0;
 /// A group with a smaller share of confirmed predictions is dropped.
 const MIN_GROUP_SHARE: f64 = 0.4;
-/// A map with a smaller share of confirmed predictions is not accepted. On recorded drives, right maps
-/// had 0.91 and more, wrong ones up to 0.73.
-pub(crate) const MIN_SHARE: f64 = 0.8;
+/// A map whose share of confirmed predictions is less, and not by chance, is not accepted. On recorded drives, right
+/// maps had 0.94 and more, wrong ones up to 0.84.
+const MIN_SHARE: f64 = 0.92;
 /// The least number of confirmed predictions of a map.
 pub(crate) const MIN_CONFIRMED: usize = 3;
 /// Predictions of places that know less of each other than this say nothing about a group.
@@ -152,7 +152,7 @@ impl Graph<'_> {
         bad.sort_by(|&a, &b| share(a).total_cmp(&share(b)).then(a.cmp(&b)));
         bad.truncate(bad.len().div_ceil(2));
         let n_confirmed = compared.iter().filter(|pair| pair.is_confirmed()).count();
-        let is_poor = (n_confirmed as f64) < MIN_SHARE * compared.len() as f64;
+        let is_poor = largest_share(n_confirmed, compared.len()) < MIN_SHARE;
         if bad.is_empty() && is_poor {
             let worst = (0..n_groups).min_by(|&a, &b| share(a).total_cmp(&share(b)));
             bad.extend(worst);
@@ -194,9 +194,21 @@ impl Graph<'_> {
         let n_predicted = compared.len();
         compared.retain(Compared::is_confirmed);
         let is_enough = MIN_CONFIRMED <= compared.len()
-            && MIN_SHARE * n_predicted as f64 <= compared.len() as f64;
+            && MIN_SHARE <= largest_share(compared.len(), n_predicted);
         is_enough.then_some(poses)
     }
+}
+
+/// The 97.5 % quantile of the standard normal distribution.
+const Z: f64 = 1.96;
+
+/// The upper end of the 95 % confidence interval of a share (Wilson 1927, "Probable inference, the law of
+/// succession, and statistical inference").
+pub(crate) fn largest_share(n_confirmed: usize, n_pairs: usize) -> f64 {
+    let n = n_pairs as f64;
+    let share = n_confirmed as f64 / n;
+    let half_width = Z * (share * (1.0 - share) / n + Z * Z / (4.0 * n * n)).sqrt();
+    (share + Z * Z / (2.0 * n) + half_width) / (1.0 + Z * Z / n)
 }
 
 /// Whether two pairs of places are close along the path.

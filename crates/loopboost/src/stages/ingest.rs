@@ -126,8 +126,12 @@ fn own_frame(log: &str, why: &str, own: &LogOptions, other: &str, key: &str) -> 
     ))
 }
 
-/// Another log of the same site.
+/// Another log of the same site, if labels depend on it that both have poses in one frame. Loop detection finds
+/// the relation of the frames itself.
 fn sharer(run: &Run, name: &str, own: &LogOptions) -> Result<Option<Arc<str>>> {
+    if !run.goal.trains() {
+        return Ok(None);
+    }
     for other in run.logs_without_copies()? {
         if *other.name != *name
             && own.site.is_some()

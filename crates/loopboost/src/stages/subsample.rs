@@ -87,7 +87,7 @@ fn subsample(run: &Run, logs: &[LogFile], provenance: Provenance) -> Result<Done
 }
 
 /// Where the trajectory of a log starts. `None` if its map frame is known: the pipeline states it, or the
-/// poses are ground truth or those of a map.
+/// poses are ground truth or those of a map. Only labels need it, loop detection does not.
 fn shared_start(run: &Run, log: &str, trajectory: &Trajectory) -> Result<Option<Start>> {
     let is_known = run.config.for_log(log)?.pose.is_some_and(|pose| {
         if pose.run.is_some() {
@@ -96,6 +96,7 @@ fn shared_start(run: &Run, log: &str, trajectory: &Trajectory) -> Result<Option<
         let is_truth = pose.topic.as_deref().is_some_and(is_ground_truth);
         is_truth || pose.start.is_some() || pose.origin.is_some()
     });
+    let is_known = is_known || !run.goal.trains();
     Ok(Start::of(log, trajectory).filter(|_| !is_known))
 }
 
