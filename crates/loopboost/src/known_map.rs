@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
 use dataset::tables::{Provenance, read_closures, read_poses, read_registered};
-use dataset::{Pose2, RangeLimits, ScanClosure};
+use dataset::{JudgedClosure, Pose2, RangeLimits, ScanClosure};
 use register::RegisterOptions;
 use serde_json::Value;
 
@@ -44,7 +44,7 @@ impl KnownMap {
                 }
             }
             let (closures, _) = read_closures(&map.path(Artifact::Closures, ""))?;
-            let accepted = closures.into_iter().filter(|judged| judged.is_accepted());
+            let accepted = closures.into_iter().filter(JudgedClosure::is_accepted);
             known.closures.extend(accepted.map(|judged| judged.closure));
         }
         if let Some(log) = run.ingested_logs()?.iter().find(|log| names.contains(&log.name)) {

@@ -28,12 +28,14 @@ const MAX_LAST_ROUNDS: usize = 4;
 /// What the search for consistent closures needs.
 pub(crate) struct Graph<'a> {
     pub(crate) places: &'a Places<'a>,
-    /// Chooses the links that agree with each other and with what is trusted. Returns for each link whether
-    /// it is kept, and the poses of the places.
-    pub(crate) choose: &'a dyn Fn(&[Link]) -> (Vec<bool>, Vec<Pose2>),
+    /// Chooses the links that agree with each other and with what is trusted.
+    pub(crate) choose: &'a dyn Fn(&[Link]) -> Chosen,
     /// The pairs of places that poses of the places predict to be the same.
     pub(crate) predict: &'a dyn Fn(&[Pose2]) -> Vec<Prediction>,
 }
+
+/// For each link whether it is kept, and the poses of the places.
+pub(crate) type Chosen = (Vec<bool>, Vec<Pose2>);
 
 /// A relative pose between two places.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -25,10 +25,10 @@ pub(crate) struct CompareArgs {
     /// Write a report with a map of the differences
     #[arg(long, value_name = "FILE.html")]
     report: Option<PathBuf>,
-    /// Largest tolerated shift of a scan after alignment, and of a closure [m]
+    /// Largest tolerated shift of a scan after alignment, and of a closure, in m
     #[arg(long, value_name = "METRES", default_value_t = Tolerances::default().max_shift_m)]
     max_shift_m: f64,
-    /// Largest tolerated turn of a scan after alignment, and of a closure [deg]
+    /// Largest tolerated turn of a scan after alignment, and of a closure, in deg
     #[arg(long, value_name = "DEGREES", default_value_t = Tolerances::default().max_turn_deg)]
     max_turn_deg: f64,
     /// Largest tolerated number of closures that only A accepts
@@ -43,10 +43,10 @@ pub(crate) struct CompareArgs {
     /// Logs that only B has are not a change
     #[arg(long)]
     allow_new_logs: bool,
-    /// Two keyframes at most this far apart are at the same place [m]
+    /// Two keyframes at most this far apart are at the same place, in m
     #[arg(long, value_name = "METRES", default_value_t = label::Options::default().positive_radius_m)]
     positive_radius_m: f64,
-    /// Largest difference between the headings of two keyframes at the same place [deg]
+    /// Largest difference between the headings of two keyframes at the same place, in deg
     #[arg(long, value_name = "DEGREES", default_value_t = label::Options::default().positive_heading_deg)]
     positive_heading_deg: f64,
 }
