@@ -75,6 +75,9 @@ def judged(run):
     rows = []
     for row in pq.read_table(run / "candidates.parquet").to_pylist():
         log = row["query_log"]
+        # Candidates between logs are not used: the ground truth of two logs can be in different frames.
+        if row["reference_log"] != log:
+            continue
         ends = [pose_at(truths[log], stamps[log][row[f"{of}_scan"]]) for of in ("query", "reference")]
         if None in ends or ends[0][1] != ends[1][1]:
             continue
