@@ -24,12 +24,16 @@ fn main() {
 
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn search_step(bencher: Bencher<'_, '_>) {
-    time_of_a_scan(bencher, Detector { n_candidates: 8, ..no_position() }, LocatedState::Searching);
+    time_of_a_scan(
+        bencher,
+        &Detector { n_candidates: 8, ..no_position() },
+        LocatedState::Searching,
+    );
 }
 
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn follow_step(bencher: Bencher<'_, '_>) {
-    time_of_a_scan(bencher, Detector::starting_values(), LocatedState::Located);
+    time_of_a_scan(bencher, &Detector::starting_values(), LocatedState::Located);
 }
 
 /// A detector that never trusts a pose, so that the search goes on.
@@ -39,12 +43,12 @@ fn no_position() -> Detector {
     detector
 }
 
-fn time_of_a_scan(bencher: Bencher<'_, '_>, detector: Detector, state: LocatedState) {
+fn time_of_a_scan(bencher: Bencher<'_, '_>, detector: &Detector, state: LocatedState) {
     let (scans, pool) = (scans(), single_thread());
     let drive = drive(&scans);
     let parts = [MapDrive { drive: &drive, poses: &drive.poses, map: 0 }];
     let map = LocatorMap::new(&parts, 2.5, 5.0);
-    let mut locator = Locator::new(&map, &detector, &RegisterOptions::default(), LIMITS);
+    let mut locator = Locator::new(&map, detector, &RegisterOptions::default(), LIMITS);
     let mut add = |scan| locator.add(scan, Some(STEP));
     for scan in &scans[..N_BEFORE] {
         add(scan);
