@@ -7,9 +7,7 @@ use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::read_scan_headers;
-use dataset::tables::{
-    digest_file, read_closures, read_graph, read_poses, read_registered, read_trajectory,
-};
+use dataset::tables::{read_closures, read_graph, read_poses, read_registered, read_trajectory};
 use dataset::{GraphEdge, Keyframe, MapPose, Note, NoteKind, ScanId, StampedPose, Trajectory};
 use label::{Measurement, PoseGraph, Vertex};
 
@@ -34,7 +32,7 @@ impl<'a> MapRun<'a> {
     /// Opens the run that poses are taken from; `None` if the pipeline names none. It is an error if `optimize`
     /// has not finished, or if its tables were altered since.
     pub(crate) fn open(run: &'a Run) -> Result<Option<Self>> {
-        run.pose_run().map(|other| Self::of(other, "ingest.pose.run")).transpose()
+        run.pose_run().map(|other| Self::of(run, other, "ingest.pose.run")).transpose()
     }
 
     /// Opens the runs whose map the logs are added to, in the same way. It is an error if the logs of the
@@ -42,10 +40,9 @@ impl<'a> MapRun<'a> {
     pub(crate) fn known(run: &'a Run) -> Result<Vec<Self>> {
         let others = run.known_maps().iter();
         let runs: Vec<Self> =
-            others.map(|other| Self::of(other, "detect.maps")).collect::<Result<_>>()?;
+            others.map(|other| Self::of(run, other, "detect.maps")).collect::<Result<_>>()?;
         let Some((first, added)) = runs.split_first() else { return Ok(runs) };
-        let path = first.path(Artifact::Trajectory, "");
-        let digest = digest_file(&path)?;
+        let digest = run.digest(&first.path(Artifact::Trajectory, ""))?;
         let is_added = |map: &&Self| {
             let optimized = map.manifest.tasks.get(Stage::Optimize.name());
             optimized.is_some_and(|record| record.inputs.values().any(|input| *input == digest))
@@ -60,7 +57,7 @@ impl<'a> MapRun<'a> {
         Ok(runs)
     }
 
-    fn of(other: &'a OtherRun, key: &str) -> Result<Self> {
+    fn of(run: &Run, other: &'a OtherRun, key: &str) -> Result<Self> {
         let folder = other.folder.display();
         let remedy = "run `loopboost run` with a pipeline that has a section [detect], or `loopboost detect --model`, on these logs first";
         let manifest = Manifest::load_existing(&other.folder)
@@ -74,7 +71,7 @@ impl<'a> MapRun<'a> {
             let path = other.folder.join(name);
             // An input from elsewhere, such as a model, is not part of the run.
             let is_of_run = Artifact::of_name(name).is_some() || path.exists();
-            if is_of_run && digest_file(&path).ok().as_ref() != Some(digest) {
+            if is_of_run && run.digest(&path).ok().as_ref() != Some(digest) {
                 return Err(anyhow!(
                     "the run {folder} is not finished: {name} is not the file that its map was made with; repeat the command that made the run"
                 ));
