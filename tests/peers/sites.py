@@ -78,7 +78,7 @@ class Sites(Benchmark):
 
     def two_halves(self, log):
         family = FULL_CIRCLE if log in FULL_CIRCLE else HALF_CIRCLE
-        logs = halves(self.logs / f"{log}.mcap", self.out / "halves")
+        logs = halves(self.logs / f"{log}.mcap", self.out.resolve() / "halves")
         return self.detect(f"{log}-halves", logs, [SITES[log]], family)
 
     def buildings(self, name, logs, family):
@@ -88,12 +88,13 @@ class Sites(Benchmark):
 
     def equal_buildings(self, name, building, scanner):
         """One drive in each of two equal buildings."""
-        folder = self.out / "equal"
+        folder = self.out.resolve() / "equal"
         folder.mkdir(exist_ok=True)
         logs = [folder / f"{name}-{k}.mcap" for k in (1, 2)]
-        for log in logs:
+        # Without another noise, the second log would be a copy, which a run leaves out.
+        for seed, log in enumerate(logs):
             if not log.exists():
-                write_drive(log, building, scanner)
+                write_drive(log, building, scanner, seed)
         return self.detect(name, logs, [], FULL_CIRCLE if scanner == "full" else HALF_CIRCLE, truth=False)
 
 
