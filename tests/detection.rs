@@ -14,14 +14,17 @@ use dataset::tables::{read_keyframes, scans::read_scan_headers};
 
 use crate::support::{Workplace, loopboost};
 
-/// A drive around one building and past its start again, on wheels and gyroscope.
+/// A drive around one building and past its start again.
 const LAP: &str = r#"
 [simulate]
 logs = ["LOG"]
 buildings = 1
 length_m = 330.0
 people = 2
+"#;
 
+/// Poses from wheels and gyroscope. They start at an origin of their own in each log.
+pub const ODOMETRY: &str = r#"
 [ingest.pose]
 wheels = "/wheel_states"
 imu = "/imu/data"
@@ -34,8 +37,12 @@ fuse.gyro_bias_walk = 1e-7
 
 const TRUTH: &str = "[evaluate]\ntruth = { topic = \"/ground_truth\" }\n";
 
+fn lap(log: &str) -> String {
+    format!("{}{ODOMETRY}", LAP.replace("LOG", log))
+}
+
 pub fn new_drive() -> String {
-    format!("name = \"new\"\nseed = 7\n{}", LAP.replace("LOG", "friday"))
+    format!("name = \"new\"\nseed = 7\n{}", lap("friday"))
 }
 
 /// Runs the stages of loop detection as commands of their own, with the starting values.
@@ -141,7 +148,7 @@ fn check_graph(out: &Path) {
 fn a_trained_model_finds_the_closures_of_a_new_drive_and_no_false_ones() {
     let train = format!(
         "name = \"campus\"\nseed = 2436\n{}[label]\npairs_per_class = 200\n[train]\nlearners = [\"discrete\"]\nrounds = 10\n[detect]\n{TRUTH}groupings = [\"pair\"]\n",
-        LAP.replace("LOG", "monday")
+        lap("monday")
     );
     let workplace = Workplace::new(&train);
     workplace.command("run", "out", &[]).expect(0);

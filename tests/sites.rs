@@ -5,24 +5,13 @@ use std::fs;
 use dataset::tables::{read_closures, read_trajectory};
 use dataset::{JudgedClosure, MapPose};
 
-use crate::support::Workplace;
-
-/// Drives around one building, with odometry that starts at its own origin in each.
-const ODOMETRY: &str = r#"
-[ingest.pose]
-wheels = "/wheel_states"
-imu = "/imu/data"
-track_m = 0.5
-wheel_speed_unit = "m/s"
-fuse.gyro_noise_density = 2e-5
-fuse.gyro_bias_std = 1e-4
-fuse.gyro_bias_walk = 1e-7
-[train]
-learners = []
-"#;
+use crate::detection::ODOMETRY;
+use crate::support::{Workplace, loopboost};
 
 fn pipeline(ingest: &str, more: &str) -> String {
-    format!("name = \"site\"\nseed = 7\n[ingest]\nsite = \"north\"\n{ingest}{ODOMETRY}{more}")
+    format!(
+        "name = \"site\"\nseed = 7\n[ingest]\nsite = \"north\"\n{ingest}{ODOMETRY}[train]\nlearners = []\n{more}"
+    )
 }
 
 const SIMULATE: &str = r#"
@@ -77,7 +66,7 @@ fn two_days_share_a_map_and_a_day_can_be_added_to_a_finished_map() {
     let run = |pipeline: &str, out: &str| {
         let args = [workplace.path(pipeline), workplace.path(out)];
         let [file, folder] = args.map(|path| path.to_str().unwrap().to_owned());
-        crate::support::loopboost(&["run", &file, "--out", &folder])
+        loopboost(&["run", &file, "--out", &folder])
     };
     write("first.toml", &pipeline(&of_day(1), "[detect]\n"));
     run("first.toml", "first").expect(3).says(&["warning[detector_not_trained]"]);

@@ -145,12 +145,12 @@ def ranges(walls, pose, angles):
     return np.where(hit, distance, np.inf).min(axis=1)
 
 
-def write_drive(path, building, scanner):
-    """Writes the log of a drive through a building."""
+def write_drive(path, building, scanner, seed=2436):
+    """Writes the log of a drive through a building. The seed is that of the noise of the ranges."""
     walls, corners = building
     n_beams, first_rad, step_rad = SCANNERS[scanner]
     angles = first_rad + step_rad * np.arange(n_beams)
-    random = np.random.default_rng(2436)
+    random = np.random.default_rng(seed)
     poses = drive(corners)
     messages = []
     for k, (pose, odometry) in enumerate(zip(poses, np.column_stack(drifted(*poses.T)))):

@@ -15,7 +15,6 @@ The command exits with 1 if a false closure is accepted, or any closure where no
 through identical copies of a wing do not count: docs/detection.md states this limit.
 """
 
-import argparse
 import json
 import re
 import shutil
@@ -28,7 +27,18 @@ import numpy as np
 import pyarrow.parquet as pq
 from buildings import symmetric_ring, wings_in_line, wings_side_by_side, write_drive
 from cuts import Log, before_revisit_ns
-from detection import FULL_CIRCLE, HALF_CIRCLE, Benchmark, measures, pipeline, replace, rule, run
+from detection import (
+    FULL_CIRCLE,
+    HALF_CIRCLE,
+    Benchmark,
+    arguments,
+    chosen,
+    measures,
+    pipeline,
+    replace,
+    rule,
+    run,
+)
 
 FACTORS = {"as learned": 1.0, "x 4": 4.0, "/ 4": 0.25}
 COLUMNS = "| log | noise | candidates (wrong) | accepted | false | trajectory equals scan matching |"
@@ -222,19 +232,10 @@ def check(benchmark, name, control):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("program")
-    parser.add_argument("logs")
-    parser.add_argument("out")
-    parser.add_argument("--only", help="comma-separated names of controls")
-    parser.add_argument("--write", type=Path)
-    options = parser.parse_args()
+    options = arguments(__doc__).parse_args()
     benchmark = Benchmark(options.program, options.logs, options.out)
     all_controls = controls(benchmark)
-    names = options.only.split(",") if options.only else list(all_controls)
-    unknown = set(names) - set(all_controls)
-    if unknown:
-        sys.exit(f"--only names {', '.join(sorted(unknown))}, expected some of {', '.join(all_controls)}")
+    names = chosen(options, list(all_controls))
     rows, failures = [COLUMNS, rule(COLUMNS)], []
     print("\n".join(rows))
     for name in names:

@@ -263,22 +263,31 @@ def replace(file, name, made):
     file.write_text(f"{before}{begin}{made}\n{end}{after}")
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def arguments(doc):
+    """The arguments that all scripts with a Benchmark have."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("program")
     parser.add_argument("logs")
     parser.add_argument("out")
-    parser.add_argument("--only", help="comma-separated names of rows")
-    parser.add_argument("--without-classifier", action="store_true")
+    parser.add_argument("--only", help="names of rows, separated by commas")
     parser.add_argument("--write", type=Path)
+    return parser
+
+
+def chosen(options, names):
+    """The names of the rows that `--only` selects."""
+    wanted = options.only.split(",") if options.only else names
+    unknown = set(wanted) - set(names)
+    if unknown:
+        sys.exit(f"--only names {', '.join(sorted(unknown))}, expected some of {', '.join(names)}")
+    return [name for name in names if name in wanted]
+
+
+def main():
+    parser = arguments(__doc__)
+    parser.add_argument("--without-classifier", action="store_true")
     options = parser.parse_args()
-    names = [*SITES, *(f"north-campus-{seed}" for seed in CAMPUS_SEEDS)]
-    if options.only:
-        wanted = options.only.split(",")
-        unknown = set(wanted) - set(names)
-        if unknown:
-            sys.exit(f"--only names {', '.join(sorted(unknown))}, expected some of {', '.join(names)}")
-        names = [name for name in names if name in wanted]
+    names = chosen(options, [*SITES, *(f"north-campus-{seed}" for seed in CAMPUS_SEEDS)])
     made = table(Benchmark(options.program, options.logs, options.out), names, options.without_classifier)
     print(made)
     if options.write:

@@ -1,4 +1,4 @@
-//! The map of finished runs that drives are added to: `detect.maps`.
+//! The map of finished runs: that drives are added to (`detect.maps`), or that `locate` searches.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -15,24 +15,28 @@ use crate::map_run::MapRun;
 use crate::run::Run;
 use crate::stage::Artifact;
 
-/// The drives of a finished run.
+/// The drives of finished runs.
+#[derive(Default)]
 pub(crate) struct KnownMap {
     pub(crate) drives: Vec<RegisteredDrive>,
     /// The optimized pose of each registered scan of each drive.
     pub(crate) poses: Vec<Vec<Pose2>>,
     /// The number of the map of each drive.
     pub(crate) maps: Vec<u32>,
-    /// The accepted closures within and between them.
+    /// The accepted closures within and between them. `locate` does not need them.
     pub(crate) closures: Vec<ScanClosure>,
 }
 
 impl KnownMap {
+    /// What [`KnownMap::add_log`] reads.
+    pub(crate) const OF_LOG: [Artifact; 3] =
+        [Artifact::Registered, Artifact::Scans, Artifact::ScanTrajectory];
+
     /// Reads the map that the logs of a run are added to; `None` if the pipeline names none.
     pub(crate) fn read(run: &Run) -> Result<Option<Self>> {
         let runs = MapRun::known(run)?;
         let Some(first) = runs.first() else { return Ok(None) };
-        let mut known =
-            Self { drives: Vec::new(), poses: Vec::new(), maps: Vec::new(), closures: Vec::new() };
+        let mut known = Self::default();
         let mut names = BTreeSet::new();
         for map in &runs {
             for log in map.logs() {
@@ -66,7 +70,8 @@ impl KnownMap {
         Ok(Some(known))
     }
 
-    fn add_log(&mut self, map: &MapRun<'_>, log: &str) -> Result<()> {
+    /// Adds the drives of a log of a run, without closures.
+    pub(crate) fn add_log(&mut self, map: &MapRun<'_>, log: &str) -> Result<()> {
         let path = map.path(Artifact::Registered, log);
         let (rows, provenance) = read_registered(&path)?;
         let limits = limits(&path, &provenance, log)?;
@@ -97,8 +102,7 @@ impl KnownMap {
         let mut inputs = Vec::new();
         for map in MapRun::known(run)? {
             for log in map.logs() {
-                let of_log = [Artifact::Registered, Artifact::Scans, Artifact::ScanTrajectory];
-                inputs.extend(of_log.map(|artifact| map.path(artifact, &log)));
+                inputs.extend(Self::OF_LOG.map(|artifact| map.path(artifact, &log)));
             }
             inputs.extend([Artifact::Trajectory, Artifact::Closures].map(|a| map.path(a, "")));
         }

@@ -7,9 +7,7 @@ use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::read_scan_headers;
-use dataset::tables::{
-    digest_file, read_closures, read_graph, read_poses, read_registered, read_trajectory,
-};
+use dataset::tables::{read_closures, read_graph, read_poses, read_registered, read_trajectory};
 use dataset::{GraphEdge, Keyframe, MapPose, Note, NoteKind, ScanId, StampedPose, Trajectory};
 use label::{Measurement, PoseGraph, Vertex};
 use serde_json::Value;
@@ -35,18 +33,17 @@ impl<'a> MapRun<'a> {
     /// Opens the run that poses are taken from; `None` if the pipeline names none. It is an error if `optimize`
     /// has not finished, or if its tables were altered since.
     pub(crate) fn open(run: &'a Run) -> Result<Option<Self>> {
-        run.pose_run().map(|other| Self::of(other, "ingest.pose.run")).transpose()
+        let of = |other| Self::of(other, "ingest.pose.run", |path| run.digest(path));
+        run.pose_run().map(of).transpose()
     }
 
     /// Opens the runs whose map the logs are added to, in the same way. It is an error if the logs of the
     /// second one were not added to the map of the first one as it is now, and so on.
     pub(crate) fn known(run: &'a Run) -> Result<Vec<Self>> {
-        let others = run.known_maps().iter();
-        let runs: Vec<Self> =
-            others.map(|other| Self::of(other, "detect.maps")).collect::<Result<_>>()?;
+        let of = |other| Self::of(other, "detect.maps", |path| run.digest(path));
+        let runs: Vec<Self> = run.known_maps().iter().map(of).collect::<Result<_>>()?;
         let Some((first, added)) = runs.split_first() else { return Ok(runs) };
-        let path = first.path(Artifact::Trajectory, "");
-        let digest = digest_file(&path)?;
+        let digest = run.digest(&first.path(Artifact::Trajectory, ""))?;
         let is_added = |map: &&Self| {
             let optimized = map.manifest.tasks.get(Stage::Optimize.name());
             optimized.is_some_and(|record| record.inputs.values().any(|input| *input == digest))
@@ -61,8 +58,13 @@ impl<'a> MapRun<'a> {
         Ok(runs)
     }
 
-    /// Opens a run, with the checks of [`MapRun::open`]. `key` is the option that names it.
-    pub(crate) fn of(other: &'a OtherRun, key: &str) -> Result<Self> {
+    /// Opens a run, with the checks of [`MapRun::open`]. `key` is the option that names it, `digest` computes
+    /// the digest of a file.
+    pub(crate) fn of(
+        other: &'a OtherRun,
+        key: &str,
+        digest: impl Fn(&Path) -> Result<String>,
+    ) -> Result<Self> {
         let folder = other.folder.display();
         let remedy = "run `loopboost run` with a pipeline that has a section [detect], or `loopboost detect --model`, on these logs first";
         let manifest = Manifest::load_existing(&other.folder)
@@ -72,11 +74,11 @@ impl<'a> MapRun<'a> {
                 "the run {folder} has no map: `optimize` has not finished in it; {remedy}"
             ));
         };
-        for (name, digest) in optimized.inputs.iter().chain(&optimized.outputs) {
+        for (name, made) in optimized.inputs.iter().chain(&optimized.outputs) {
             let path = other.folder.join(name);
             // An input from elsewhere, such as a model, is not part of the run.
             let is_of_run = Artifact::of_name(name).is_some() || path.exists();
-            if is_of_run && digest_file(&path).ok().as_ref() != Some(digest) {
+            if is_of_run && digest(&path).ok().as_ref() != Some(made) {
                 return Err(anyhow!(
                     "the run {folder} is not finished: {name} is not the file that its map was made with; repeat the command that made the run"
                 ));

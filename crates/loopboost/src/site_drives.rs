@@ -1,7 +1,9 @@
 //! The drives of a site, which may share places.
 
+use std::collections::HashMap;
+
 use anyhow::Result;
-use dataset::{Pose2, RegisteredScan, ScanClosure};
+use dataset::{Pose2, RegisteredScan, ScanClosure, ScanId};
 
 use crate::config::usage;
 use crate::drives::{RegisteredDrive, registered_drives};
@@ -83,6 +85,12 @@ impl SiteDrives {
             }
         }
         groups.into_iter().map(|(_, drives)| drives).collect()
+    }
+
+    /// The drive of each registered scan.
+    pub(crate) fn drive_of(&self) -> HashMap<&ScanId, usize> {
+        let drives = self.drives.iter().enumerate();
+        drives.flat_map(|(k, drive)| drive.rows.iter().map(move |row| (&row.id, k))).collect()
     }
 
     /// The rows of all drives, in the order of [`register::Drive::joined`].

@@ -335,22 +335,22 @@ impl<'a> SiteMaps<'a> {
         counts.sort_by_key(|&(n, k)| (Reverse(n), k));
         let most = counts.first().map_or(0.0, |&(n, _)| n as f64);
         counts.retain(|&(n, _)| MIN_QUERY_SHARE * most <= n as f64);
-        let mut chosen: Vec<(Hypothesis, usize)> = Vec::new();
+        let mut chosen: Vec<Hypothesis> = Vec::new();
         for (_, k) in counts {
             let next = hypothesis(&links[k]);
             let at = self.pose_of(links[k].query);
-            let is_same = |(other, _): &(Hypothesis, usize)| {
+            let is_same = |other: &Hypothesis| {
                 let [next, other] = [next.a_from_b, other.a_from_b].map(|a_from_b| a_from_b * at);
                 is_same_pose(&next, &other)
             };
             if !chosen.iter().any(is_same) {
-                chosen.push((next, k));
+                chosen.push(next);
             }
             if chosen.len() == N_HYPOTHESES {
                 break;
             }
         }
-        chosen.into_iter().map(|(hypothesis, _)| hypothesis).collect()
+        chosen
     }
 
     fn pose_of(&self, place: usize) -> Pose2 {
@@ -387,9 +387,7 @@ impl<'a> SiteMaps<'a> {
         hypothesis: &Hypothesis,
         offered: &[bool],
     ) -> Attachment {
-        let is_in =
-            |map: &[usize], place: usize| map.contains(&self.part_of[self.places.scans[place]]);
-        let moved: Vec<usize> = (0..self.places.n()).filter(|&p| is_in(pair.b, p)).collect();
+        let moved = self.places_of(pair.b);
         // Vertex 0 is the frame of the first map, the others are the places of the second one.
         let vertex_of = |place: usize| moved.partition_point(|&other| other < place) + 1;
         let trusted = self.trusted(&moved);
@@ -410,8 +408,9 @@ impl<'a> SiteMaps<'a> {
             }
             (robust.is_kept, poses)
         };
-        let is_pair =
-            |reference: usize, query: usize| is_in(pair.a, reference) && is_in(pair.b, query);
+        let [in_a, in_b] = [pair.a, pair.b].map(|map| self.is_in(map));
+        let scan = |place: usize| self.places.scans[place];
+        let is_pair = |reference: usize, query: usize| in_a[scan(reference)] && in_b[scan(query)];
         let predict =
             |poses: &[Pose2]| predictions(&self.places.path_m, poses, &is_pair, Some(PLACE_LIMIT));
         let graph = Graph { places: &self.places, choose: &choose, predict: &predict };
@@ -463,9 +462,7 @@ impl<'a> SiteMaps<'a> {
             return Err(JoinOutcome::Unsupported { n_predicted: tested.0, n_confirmed: tested.1 });
         };
         // Different starts can lead to the same poses.
-        let in_b: Vec<usize> = (0..self.places.n())
-            .filter(|&place| pair.b.contains(&self.part_of[self.places.scans[place]]))
-            .collect();
+        let in_b = self.places_of(pair.b);
         let is_other = |k: &&usize| {
             attachments[**k].poses.as_ref().is_some_and(|other| {
                 let is_same = |&&p: &&usize| is_same_pose(&poses[p], &other[p]);
@@ -526,6 +523,12 @@ impl<'a> SiteMaps<'a> {
             next = Some(self.attach(pair, links, hypothesis, &offered));
         }
         JoinOutcome::Unsupported { n_predicted, n_confirmed }
+    }
+
+    /// The places of a map.
+    fn places_of(&self, map: &[usize]) -> Vec<usize> {
+        let in_map = self.is_in(map);
+        (0..self.places.n()).filter(|&place| in_map[self.places.scans[place]]).collect()
     }
 
     /// Whether each scan belongs to a map.

@@ -161,6 +161,28 @@ impl<'a> Drive<'a> {
         joined
     }
 
+    /// The drives of [`Drive::joined`], one by one.
+    pub fn split(mut self) -> Vec<Self> {
+        let mut drives = Vec::new();
+        while let Some(start) = self.starts.pop() {
+            let mut path_m = self.path_m.split_off(start);
+            let from_m = path_m.first().copied().unwrap_or_default();
+            path_m.iter_mut().for_each(|m| *m -= from_m);
+            drives.push(Self {
+                scans: self.scans.split_off(start),
+                points: self.points.split_off(start),
+                odometry: self.odometry.split_off(start),
+                poses: self.poses.split_off(start),
+                path_m,
+                starts: vec![0],
+                is_keyframe: self.is_keyframe.split_off(start),
+                is_decided: self.is_decided.split_off(start),
+            });
+        }
+        drives.reverse();
+        drives
+    }
+
     /// The scans of each drive.
     pub fn parts(&self) -> Vec<Range<usize>> {
         let ends = self.starts.iter().skip(1).copied().chain([self.scans.len()]);

@@ -1,6 +1,6 @@
 //! Measures of the closures between the drives of a site, and of the maps that they share.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use dataset::{Pose2, quantile};
 use serde::Serialize;
@@ -162,17 +162,15 @@ fn errors(site: &SiteDrives, poses: &[Vec<Option<TruePose>>]) -> Option<SiteErro
     let mut errors_m: Vec<f64> = judged.iter().map(|(_, judged)| judged.error_m).collect();
     errors_m.sort_by(f64::total_cmp);
     let revisits = revisits(site, poses);
-    let is_closed = |revisit: &&DriveKeyframe| {
-        judged.iter().any(|(query, judged)| {
-            query == *revisit && judged.verdict == Verdict::Right && judged.distance_m <= REVISIT_M
-        })
-    };
+    let is_right = |j: &Judged| j.verdict == Verdict::Right && j.distance_m <= REVISIT_M;
+    let closed: BTreeSet<DriveKeyframe> =
+        judged.iter().filter(|(_, judged)| is_right(judged)).map(|(query, _)| *query).collect();
     Some(SiteErrors {
         n_judged: judged.len(),
         n_false: judged.iter().filter(|(_, judged)| judged.verdict == Verdict::False).count(),
         median_m: (!errors_m.is_empty()).then(|| quantile(&errors_m, 0.5)),
         n_revisits: revisits.len(),
-        n_closed: revisits.iter().filter(is_closed).count(),
+        n_closed: revisits.iter().filter(|revisit| closed.contains(revisit)).count(),
     })
 }
 

@@ -1,6 +1,6 @@
 //! `locate`: where the scans of logs lie in the map of a finished run.
 
-mod known_map;
+mod places;
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ use crate::run::progress_bar;
 use crate::stages::ingest::open;
 use crate::trial::topics;
 use crate::used_model::UsedModel;
-use known_map::KnownMap;
+use places::Places;
 
 #[derive(Args)]
 pub(crate) struct LocateArgs {
@@ -100,7 +100,7 @@ impl LocateArgs {
             None => Detector::starting_values(),
         };
         let files = self.files()?;
-        let known = KnownMap::read(&self.map, &self.map_logs)?;
+        let known = Places::read(&self.map, &self.map_logs)?;
         let (mut findings, mut rows, mut found) = (Findings::default(), Vec::new(), Vec::new());
         let mut inputs = known.inputs.clone();
         for file in &files {
@@ -254,7 +254,7 @@ fn locate(
     file: &LogFile,
     query: &QueryLog,
     options: &Options,
-    known: &KnownMap,
+    known: &Places,
     detector: &Detector,
 ) -> Vec<LocatedScan> {
     let lidar = &options.lidar;

@@ -1,8 +1,8 @@
-use std::collections::{BTreeSet, HashMap};
+use std::collections::BTreeSet;
 
 use anyhow::Result;
 use dataset::tables::{Provenance, write_candidates};
-use dataset::{CandidateClosure, RegisteredScan, ScanClosure, ScanId};
+use dataset::{CandidateClosure, RegisteredScan, ScanClosure};
 use detect::{Candidate, Places, find_candidates, find_candidates_between};
 use optimize::Proposal;
 use register::Drive;
@@ -137,9 +137,7 @@ impl Finder<'_> {
 impl Found {
     /// What was found in each log, and between the drives of the site.
     fn summaries(&self, site: &SiteDrives) -> Vec<Summary> {
-        let drive_of: HashMap<&ScanId, usize> = (site.drives.iter().enumerate())
-            .flat_map(|(k, drive)| drive.rows.iter().map(move |row| (&row.id, k)))
-            .collect();
+        let drive_of = site.drive_of();
         let is_within = |c: &&ScanClosure| drive_of.get(&c.query) == drive_of.get(&c.reference);
         let closures = || self.rows.iter().map(|row| &row.closure);
         let of_log = |log: &LogFile| {

@@ -1,4 +1,4 @@
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow};
@@ -20,8 +20,8 @@ use register::{Drive, OdometryScan};
 use train::detector::{alignment_covariance, closure_covariance};
 
 use crate::drives::{
-    PosedScan, RegisteredDrive, by_id, closure_row, evidence, matrix, posed_scans,
-    registration_limits, scans_of, upper_triangle,
+    PosedScan, by_id, closure_row, evidence, matrix, posed_scans, registration_limits, scans_of,
+    upper_triangle,
 };
 use crate::findings::Findings;
 use crate::known_map::KnownMap;
@@ -99,12 +99,12 @@ fn optimize(run: &Run, trained: Option<&Model>, provenance: &Provenance) -> Resu
     for site in SiteDrives::of_run(run)? {
         let site = site?;
         let first = maps.closures.len();
-        let solved = solve(run, &site, detector, &candidates)?;
+        let (solved, drives) = solve(run, &site, detector, &candidates);
         let rows = site.rows();
         maps.add(&rows, &site, &solved);
         let closures = Closures::of(&site, &maps.closures[first..]);
         for log in &site.logs {
-            let scans = every_scan(run, log, &site, &solved)?;
+            let scans = every_scan(run, log, &site, &drives, &solved)?;
             done.notes.extend(closures.notes(log));
             done.summaries.push(closures.summary(log, scans.poses().len()));
             trajectories.push((log.clone(), scans));
@@ -132,12 +132,12 @@ fn add_confidences(run: &Run, model: &Model, candidates: &mut [CandidateClosure]
 }
 
 /// Closes the loops of each drive of a site by itself, and then joins those that share places.
-fn solve(
+fn solve<'a>(
     run: &Run,
-    site: &SiteDrives,
+    site: &'a SiteDrives,
     detector: &Detector,
     candidates: &[CandidateClosure],
-) -> Result<Site> {
+) -> (Site, Vec<Drive<'a>>) {
     let finder = Proposals { candidates, found_with: run.detector(), detector };
     let min_path_m = run.config.detection().min_path_m;
     let (mut drives, mut solutions) = (Vec::new(), Vec::new());
@@ -146,7 +146,7 @@ fn solve(
         solutions.push(match site.known_poses.get(k) {
             Some(poses) => known_solution(poses),
             None => {
-                let proposals = finder.within(&registered.rows);
+                let proposals = finder.among(&registered.rows);
                 close_loops(&drive, &proposals, detector, min_path_m)
             }
         });
@@ -159,7 +159,8 @@ fn solve(
         maps: site.known_groups(),
         closures: site.known_closures.iter().filter_map(|c| proposal(&by_id(&rows), c)).collect(),
     };
-    Ok(join_drives(&drive, &solutions, &known, &proposals, detector))
+    let solved = join_drives(&drive, &solutions, &known, &proposals, detector);
+    (solved, drive.split())
 }
 
 /// A drive of the known map. Its closures are those of the map.
@@ -174,11 +175,17 @@ fn known_solution(poses: &[Pose2]) -> Solution {
 }
 
 /// The poses at every scan of a log.
-fn every_scan(run: &Run, log: &LogFile, site: &SiteDrives, solved: &Site) -> Result<Trajectory> {
+fn every_scan(
+    run: &Run,
+    log: &LogFile,
+    site: &SiteDrives,
+    drives: &[Drive<'_>],
+    solved: &Site,
+) -> Result<Trajectory> {
     let posed = posed_scans(run, &log.name)?;
     let mut poses = Vec::new();
     let mut optimized = &solved.solution.poses[..];
-    for registered in &site.drives {
+    for (registered, drive) in site.drives.iter().zip(drives) {
         let (of_drive, rest) = optimized.split_at(registered.rows.len());
         optimized = rest;
         if registered.log() != Some(&log.name) {
@@ -188,7 +195,7 @@ fn every_scan(run: &Run, log: &LogFile, site: &SiteDrives, solved: &Site) -> Res
         let of_segment = posed.iter().find(|scans| scans[0].odometry.segment == segment);
         let of_segment = of_segment.map(Vec::as_slice).unwrap_or_default();
         let aligned = match run.config.optimize.every_scan {
-            true => aligned_poses(run, log, registered, of_drive, of_segment)?,
+            true => aligned_poses(run, log, (&registered.rows, drive), of_drive, of_segment)?,
             false => interpolated_poses(&registered.rows, of_drive, of_segment),
         };
         let stamped = of_segment.iter().zip(aligned).map(|(scan, pose)| StampedPose {
@@ -211,11 +218,6 @@ struct Proposals<'a> {
 }
 
 impl Proposals<'_> {
-    /// The candidates within a drive.
-    fn within(&self, rows: &[RegisteredScan]) -> Vec<Proposal> {
-        self.among(rows)
-    }
-
     /// The candidates between drives. `rows` are those of all of them.
     fn between(&self, rows: &[RegisteredScan], drive: &Drive<'_>) -> Vec<Proposal> {
         let mut proposals = self.among(rows);
@@ -260,9 +262,7 @@ struct Closures<'a> {
 
 impl<'a> Closures<'a> {
     fn of(site: &'a SiteDrives, closures: &'a [JudgedClosure]) -> Self {
-        let drive_of: HashMap<&ScanId, usize> = (site.drives.iter().enumerate())
-            .flat_map(|(k, drive)| drive.rows.iter().map(move |row| (&row.id, k)))
-            .collect();
+        let drive_of = site.drive_of();
         let is_between = |judged: &JudgedClosure| {
             drive_of.get(&judged.closure.query) != drive_of.get(&judged.closure.reference)
         };
@@ -275,12 +275,7 @@ impl<'a> Closures<'a> {
         let is_of_log = |judged: &&JudgedClosure| {
             judged.closure.query.log == log.name && judged.closure.reference.log == log.name
         };
-        self.closures
-            .iter()
-            .map(|(judged, _)| *judged)
-            .filter(is_of_log)
-            .collect::<Vec<_>>()
-            .into_iter()
+        self.closures.iter().map(|(judged, _)| *judged).filter(is_of_log)
     }
 
     fn summary(&self, log: &LogFile, n_poses: usize) -> Summary {
@@ -318,23 +313,21 @@ impl<'a> Closures<'a> {
 
 /// Remarks about logs of a site that are in different maps.
 fn join_notes(site: &SiteDrives, solved: &Site) -> Vec<Note> {
-    let of_map = |map: &Vec<usize>| -> BTreeSet<&str> {
+    let of_map = |map: &[usize]| -> BTreeSet<&str> {
         map.iter().filter_map(|&drive| site.drives[drive].log()).map(|log| &**log).collect()
     };
-    let maps: BTreeSet<BTreeSet<&str>> = solved.maps.iter().map(of_map).collect();
+    let maps: BTreeSet<BTreeSet<&str>> = solved.maps.iter().map(|map| of_map(map)).collect();
+    let joined = |logs: &BTreeSet<&str>| logs.iter().copied().collect::<Vec<_>>().join(", ");
     let mut notes = Vec::new();
     // Segments of one log that share no place are usual.
     if 1 < maps.len() {
-        let maps: Vec<String> =
-            maps.iter().map(|logs| logs.iter().copied().collect::<Vec<_>>().join(", ")).collect();
+        let maps: Vec<String> = maps.iter().map(joined).collect();
         let site = site.site.clone();
         notes.push(NoteKind::SeparateMaps { site, maps: maps.join(" | ") }.into());
     }
-    let names =
-        |drives: &[usize]| of_map(&drives.to_vec()).into_iter().collect::<Vec<_>>().join(", ");
     let ambiguous = solved.joins.iter().filter(|join| join.outcome == JoinOutcome::Ambiguous);
     notes.extend(ambiguous.map(|join| {
-        let (logs, others) = (names(&join.drives), names(&join.to));
+        let (logs, others) = (joined(&of_map(&join.drives)), joined(&of_map(&join.to)));
         NoteKind::AmbiguousMaps { site: site.site.clone(), logs, others }.into()
     }));
     notes
@@ -344,30 +337,27 @@ fn join_notes(site: &SiteDrives, solved: &Site) -> Vec<Note> {
 fn aligned_poses(
     run: &Run,
     log: &LogFile,
-    registered: &RegisteredDrive,
+    (rows, drive): (&[RegisteredScan], &Drive<'_>),
     poses: &[Pose2],
     posed: &[PosedScan],
 ) -> Result<Vec<Pose2>> {
     let numbers: Vec<u32> = posed.iter().map(|scan| scan.scan).collect();
     let scans: Vec<Scan> = scans_of(&run.scans(&log.name), &numbers)?;
-    let rows = by_id(&registered.rows);
-    let is_keyframe = |scan: u32| {
-        let id = ScanId { log: log.name.clone(), scan };
-        rows.get(&id).is_some_and(|&row| registered.rows[row].is_keyframe)
-    };
+    let keyframes: HashSet<u32> =
+        rows.iter().filter(|row| row.is_keyframe).map(|row| row.id.scan).collect();
     let input: Vec<OdometryScan<'_>> = posed
         .iter()
         .zip(&scans)
         .map(|(posed, scan)| OdometryScan {
             scan,
             odometry: posed.odometry.pose,
-            is_keyframe: is_keyframe(posed.scan),
+            is_keyframe: keyframes.contains(&posed.scan),
         })
         .collect();
-    let in_input: Vec<usize> = positions(&registered.rows, posed)
+    let in_input: Vec<usize> = positions(rows, posed)
         .with_context(|| format!("log `{}`: registered scans and poses do not match", log.name))?;
     let limits = registration_limits(&run.config, &log.name)?;
-    Ok(align_every_scan(&registered.drive(), poses, &in_input, &input, limits))
+    Ok(align_every_scan(drive, poses, &in_input, &input, limits))
 }
 
 /// The index of each registered scan among all scans of its segment.

@@ -99,6 +99,26 @@ fn other_building() -> World {
 
 const FRAME: Pose2 = Pose2 { x_m: 40.0, y_m: -7.0, heading_rad: 2.0 };
 
+/// Joined drives are the same after they are split again.
+#[test]
+fn joined_drives_can_be_split() {
+    let building = this_building();
+    let simulated =
+        [one_lap(&building, 0.0, Pose2::default(), 1.0), one_lap(&building, 0.4, FRAME, -1.0)];
+    let split = drives(&simulated).drive.split();
+    assert_eq!(split.len(), 2);
+    for (split, simulated) in split.iter().zip(&simulated) {
+        let (alone, _) = simulated.registered();
+        assert_eq!((&split.poses, &split.odometry), (&alone.poses, &alone.odometry));
+        assert_eq!((&split.scans, &split.is_keyframe), (&alone.scans, &alone.is_keyframe));
+        assert_eq!((&split.starts, &split.is_decided), (&alone.starts, &alone.is_decided));
+        assert_eq!(split.points.len(), alone.points.len());
+        for (a, b) in split.path_m.iter().zip(&alone.path_m) {
+            assert!((a - b).abs() < 1e-9, "{a} {b}");
+        }
+    }
+}
+
 /// The poses of both drives are in one frame, and right closures join them. Wrong proposals that agree
 /// with each other are rejected. A drive of another building is a map of its own.
 #[test]
