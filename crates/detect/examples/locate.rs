@@ -1,7 +1,7 @@
 //! Locates a drive in the map of another drive, and compares the positions with the ground truth.
 //!
 //! ```text
-//! cargo run --release -p detect --example locate -- RUN MAP_LOG LOG [--starts N] [--odometry] [--model FILE]
+//! cargo run --release -p detect --example locate -- RUN MAP_LOG LOG [--starts N] [--seed K] [--odometry] [--model FILE]
 //! ```
 //!
 //! `RUN` is a run folder with the scans, the map and the ground truth of both logs. Without `--starts`, the
@@ -25,11 +25,12 @@ use register::{Drive, RegisterOptions, is_decided};
 
 /// A search ends after this much driving \[m\].
 const MOST_M: f64 = 20.0;
+/// A scan is near the map if the map has a scan within this distance \[m\].
+const NEAR_M: f64 = 3.0;
 const WRONG_M: f64 = 1.0;
 const WRONG_DEG: f64 = 8.0;
 /// Range limits of a Velodyne HDL-32E \[m\].
 const LIMITS: RangeLimits = RangeLimits { min_m: 0.9, max_m: 70.0 };
-const SEED: u64 = 7;
 
 /// A log of the run.
 struct Log {
@@ -156,8 +157,9 @@ fn starts(
     queries: &Queries,
     detector: &Detector,
     n: usize,
+    seed: u64,
 ) -> Result<(), Box<dyn Error>> {
-    let mut random = SplitMix64::new(SEED);
+    let mut random = SplitMix64::new(seed);
     let last_m = queries.path_m.last().copied().unwrap_or_default() - MOST_M;
     let n_possible = queries.path_m.partition_point(|&m| m < last_m);
     let (mut n_right, mut n_wrong) = (0, 0);
@@ -193,8 +195,13 @@ fn starts(
             _ => {}
         }
         if outcome != "right" {
+            let is_near = |k: &usize| known.truth.iter().any(|t| t.distance_m(&queries.truth[*k]) < NEAR_M);
+            let near = (from..to).filter(is_near).count() as f64 / (to - from).max(1) as f64;
             let pose = queries.truth[from];
-            println!("start at scan {from} ({:.0}, {:.0}): {outcome}", pose.x_m, pose.y_m);
+            println!(
+                "start at scan {from} ({:.0}, {:.0}): {outcome}; {near:.2} of the scans within {NEAR_M} m of the map",
+                pose.x_m, pose.y_m
+            );
         }
     }
     println!("{n} starts: {n_right} right, {n_wrong} wrong, {} none", n - n_right - n_wrong);
@@ -262,11 +269,13 @@ fn print_times(times_ms: &mut [f64]) {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
+    let mut seed = 7;
     let (mut n_starts, mut with_odometry, mut names) = (None, false, Vec::new());
     let mut detector = Detector::starting_values();
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
             "--starts" => n_starts = Some(arguments.next().ok_or("--starts needs N")?.parse()?),
+            "--seed" => seed = arguments.next().ok_or("--seed needs a number")?.parse()?,
             "--odometry" => with_odometry = true,
             "--model" => {
                 let model = model::load(Path::new(&arguments.next().ok_or("--model needs FILE")?))?;
@@ -283,7 +292,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     println!("map: {} places, {mb:.0} MB", known.map.n_places());
     let queries = Queries::open(Log::open(Path::new(run), log)?, with_odometry)?;
     match n_starts {
-        Some(n) => starts(&known, &queries, &detector, n),
+        Some(n) => starts(&known, &queries, &detector, n, seed),
         None => whole(&known, &queries, &detector),
     }
 }

@@ -37,6 +37,18 @@ impl Estimate {
         Self { pose: self.pose * *step, covariance }
     }
 
+    /// The estimate with a further independent error of each coordinate and of the heading.
+    pub(crate) fn uncertain(&self, std_m: f64, std_rad: f64) -> Self {
+        let variances = Vector3::new(std_m, std_m, std_rad).map(|std| std * std);
+        Self { pose: self.pose, covariance: self.covariance + Matrix3::from_diagonal(&variances) }
+    }
+
+    /// Standard deviation of the position along its worst direction \[m\].
+    pub(crate) fn std_m(&self) -> f64 {
+        let [xx, xy, yy] = [(0, 0), (0, 1), (1, 1)].map(|entry| self.covariance[entry]);
+        libm::sqrt((xx + yy) / 2.0 + libm::hypot((xx - yy) / 2.0, xy))
+    }
+
     /// Both estimates together, by covariance intersection with equal weights (Julier and Uhlmann 1997, "A
     /// non-divergent estimation algorithm in the presence of unknown correlations"). Alignments of scans
     /// that overlap are not independent, and this result is right for any correlation.

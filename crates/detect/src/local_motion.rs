@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan};
 use model::OdometryNoise;
-use register::{Node, NodeMember, Points, RegisterOptions, ScanMatcher, SubmapOptions, points_of};
+use register::{MatcherOptions, Node, NodeMember, Points, RegisterOptions, ScanMatcher, SubmapOptions, is_decided, points_of};
 
 /// The scans of this path are joined \[m\]: as much as a place of the map has.
 const WINDOW_M: f64 = 10.0;
@@ -12,10 +12,31 @@ const WINDOW_M: f64 = 10.0;
 const MAX_SCANS: usize = 64;
 /// Scans with fewer points than this are not joined.
 const MIN_POINTS: usize = 15;
-/// Error of the expected step without odometry: the step is that of the scan before. A guess that is
-/// wide, so that the scans decide.
-const WITHOUT_ODOMETRY: OdometryNoise =
-    OdometryNoise { std_m_per_m: 0.5, std_m: 0.1, std_rad_per_sqrt_m: 0.2, std_rad: 0.05 };
+/// What a robot can do: the changes of its speed \[m/s^2, rad/s^2\], and its speed before anything is known of it
+/// \[m/s, rad/s\]. Wide guesses, so that the scans decide; but a robot does not jump where they say little.
+const CHANGE_M: f64 = 3.0;
+const CHANGE_RAD: f64 = 6.0;
+const SPEED_M: f64 = 2.0;
+const SPEED_RAD: f64 = 1.0;
+/// The least error of the expected step.
+const LEAST_M: f64 = 0.02;
+const LEAST_RAD: f64 = 0.02;
+/// Time between two scans, if their stamps do not say, and the longest time over which the speed is kept \[s\].
+const USUAL_SECS: f64 = 0.1;
+const LONGEST_SECS: f64 = 1.0;
+/// The turn goes on by this share per scan, where the scans do not show it.
+const KEPT_TURN: f64 = 0.8;
+
+/// A scan with a smaller share of points near those of the last metres has no known relation to them.
+const CONNECTED_SHARE: f64 = 0.5;
+
+/// The speed of the lidar, in its own frame.
+#[derive(Debug, Clone, Copy, Default)]
+struct Speed {
+    x_m: f64,
+    y_m: f64,
+    heading_rad: f64,
+}
 
 /// A scan that is joined with others.
 struct Kept {
@@ -30,16 +51,25 @@ struct Kept {
 pub(crate) struct LocalMotion {
     options: RegisterOptions,
     limits: RangeLimits,
+    /// The range limits of scans that are matched without odometry.
+    far_limits: RangeLimits,
     noise: OdometryNoise,
     matcher: ScanMatcher,
     /// The sum of the steps.
     odometry: Pose2,
     /// Its value at the last scan that was matched, and the pose of that scan.
     matched: Option<[Pose2; 2]>,
-    /// The pose of the last scan, and that of the scan before it.
-    poses: [Pose2; 2],
+    /// The pose of the last scan, and its stamp.
+    last: Pose2,
+    stamp_ns: Option<i64>,
+    /// The speed by the last scan that determined its position.
+    speed: Option<Speed>,
     window: VecDeque<Kept>,
     path_m: f64,
+    /// Whether the last scan determined its position.
+    is_decided: bool,
+    /// Whether the last scan has no known relation to those before.
+    is_broken: bool,
 }
 
 /// The scans of the last metres, joined.
@@ -49,6 +79,24 @@ pub(crate) struct LocalPlace {
     pub(crate) local_from_node: Pose2,
 }
 
+impl Speed {
+    fn of(step: &Pose2, secs: f64) -> Self {
+        Self {
+            x_m: step.x_m / secs,
+            y_m: step.y_m / secs,
+            heading_rad: step.heading_rad / secs,
+        }
+    }
+
+    fn step(&self, secs: f64) -> Pose2 {
+        Pose2 {
+            x_m: self.x_m * secs,
+            y_m: self.y_m * secs,
+            heading_rad: self.heading_rad * secs,
+        }
+    }
+}
+
 impl LocalMotion {
     /// `limits` are the range limits of the lidar, `noise` the error of the odometry.
     pub(crate) fn new(
@@ -56,37 +104,114 @@ impl LocalMotion {
         limits: RangeLimits,
         noise: OdometryNoise,
     ) -> Self {
+        let far_m = options.matcher.target_half_width_m.max(limits.max_m);
+        let matcher = MatcherOptions { target_half_width_m: far_m, ..options.matcher };
         Self {
             options: *options,
             limits: options.limits(limits),
             noise,
-            matcher: ScanMatcher::new(options.matcher, noise),
+            far_limits: limits,
+            matcher: ScanMatcher::new(matcher, noise),
             odometry: Pose2::default(),
             matched: None,
-            poses: [Pose2::default(); 2],
+            last: Pose2::default(),
+            stamp_ns: None,
+            speed: None,
             window: VecDeque::new(),
             path_m: 0.0,
+            is_decided: true,
+            is_broken: false,
         }
     }
 
     /// Adds a scan, and returns its pose in the local frame. Without `step`, the motion since the last scan by
-    /// odometry, it is expected to be that of the scan before.
+    /// odometry, the speed is expected to be that of the scan before.
     pub(crate) fn add(&mut self, scan: &Scan, step: Option<Pose2>) -> Pose2 {
-        let [before, last] = self.poses;
-        self.odometry = self.odometry * step.unwrap_or_else(|| before.inverse() * last);
+        let since_ns = self.stamp_ns.replace(scan.stamp_ns).map_or(0, |last| scan.stamp_ns - last);
+        let secs = match since_ns as f64 * 1e-9 {
+            secs if 0.0 < secs => secs.min(LONGEST_SECS),
+            _ => USUAL_SECS,
+        };
+        (self.is_decided, self.is_broken) = (true, false);
+        let Some(step) = step else { return self.add_without_odometry(scan, secs) };
+        self.odometry = self.odometry * step;
         let (spacing_m, turn_rad) = self.spacing(scan);
-        let pose = match self.matched {
+        self.last = match self.matched {
             Some([odometry, pose])
-                if step.is_some()
-                    && odometry.distance_m(&self.odometry) < spacing_m
+                if odometry.distance_m(&self.odometry) < spacing_m
                     && odometry.heading_difference_rad(&self.odometry) < turn_rad =>
             {
                 pose * (odometry.inverse() * self.odometry)
             }
-            _ => self.match_scan(scan, step.is_some(), spacing_m, turn_rad),
+            _ => {
+                let points = points_of(scan, self.limits);
+                self.matcher.set_usual_noise(self.noise);
+                let pose = self.matcher.add(points.clone(), &self.odometry).pose;
+                self.matched = Some([self.odometry, pose]);
+                self.keep(scan, points, pose);
+                pose
+            }
         };
-        self.poses = [last, pose];
-        pose
+        self.last
+    }
+
+    /// Each scan is matched. One that does not determine its position does not change the speed.
+    fn add_without_odometry(&mut self, scan: &Scan, secs: f64) -> Pose2 {
+        let (spacing_m, turn_rad) = self.spacing(scan);
+        let expected = self.speed.unwrap_or_default().step(secs);
+        self.odometry = self.odometry * expected;
+        let [std_m, std_rad] = match self.speed {
+            Some(_) => [CHANGE_M * secs * secs, CHANGE_RAD * secs * secs],
+            None => [SPEED_M * secs, SPEED_RAD * secs],
+        };
+        self.matcher.set_usual_noise(OdometryNoise {
+            std_m_per_m: 0.1,
+            std_m: std_m.max(LEAST_M),
+            std_rad_per_sqrt_m: 0.05,
+            std_rad: std_rad.max(LEAST_RAD),
+        });
+        let near_points = points_of(scan, self.limits);
+        let matched = self.matcher.add(points_of(scan, self.far_limits), &self.odometry);
+        self.matcher.leave_out_close(spacing_m, turn_rad);
+        let step = self.last.inverse() * matched.pose;
+        self.last = matched.pose;
+        self.matched = Some([self.odometry, self.last]);
+        // The first scan has nothing to be matched with.
+        let is_first = matched.covariance.is_none();
+        self.is_decided = is_first
+            || is_decided(matched.near_share, matched.weakness.map(|weakness| weakness.ratio));
+        if self.is_decided && !is_first {
+            self.speed = Some(Speed::of(&step, secs));
+        } else if let Some(speed) = &mut self.speed {
+            speed.heading_rad *= KEPT_TURN;
+        }
+        self.is_broken = matched.near_share < CONNECTED_SHARE;
+        if self.is_broken {
+            self.window.clear();
+        }
+        let is_due = self.window.back().is_none_or(|kept| {
+            spacing_m <= kept.pose.distance_m(&self.last)
+                || turn_rad <= kept.pose.heading_difference_rad(&self.last)
+        });
+        if is_due {
+            self.keep(scan, near_points, self.last);
+        }
+        self.last
+    }
+
+    /// Adds a scan to those of the last metres.
+    fn keep(&mut self, scan: &Scan, points: Points, pose: Pose2) {
+        if points.len() < MIN_POINTS {
+            return;
+        }
+        self.path_m += self.window.back().map_or(0.0, |last| last.pose.distance_m(&pose));
+        self.window.push_back(Kept { scan: scan.clone(), points, pose, path_m: self.path_m });
+        let from_m = self.path_m - WINDOW_M;
+        while MAX_SCANS < self.window.len()
+            || self.window.front().is_some_and(|scan| scan.path_m < from_m)
+        {
+            self.window.pop_front();
+        }
     }
 
     fn spacing(&self, scan: &Scan) -> (f64, f64) {
@@ -98,38 +223,15 @@ impl LocalMotion {
         (spacing_m, turn_deg.to_radians())
     }
 
-    fn match_scan(
-        &mut self,
-        scan: &Scan,
-        has_odometry: bool,
-        spacing_m: f64,
-        turn_rad: f64,
-    ) -> Pose2 {
-        let points = points_of(scan, self.limits);
-        let usual = if has_odometry { self.noise } else { WITHOUT_ODOMETRY };
-        self.matcher.set_usual_noise(usual);
-        let pose = self.matcher.add(points.clone(), &self.odometry).pose;
-        // With odometry, scans are matched only when they are due.
-        if !has_odometry {
-            self.matcher.leave_out_close(spacing_m, turn_rad);
-        }
-        self.matched = Some([self.odometry, pose]);
-        let is_due = self.window.back().is_none_or(|last| {
-            has_odometry
-                || spacing_m <= last.pose.distance_m(&pose)
-                || turn_rad <= last.pose.heading_difference_rad(&pose)
-        });
-        if is_due && MIN_POINTS <= points.len() {
-            self.path_m += self.window.back().map_or(0.0, |last| last.pose.distance_m(&pose));
-            self.window.push_back(Kept { scan: scan.clone(), points, pose, path_m: self.path_m });
-            let from_m = self.path_m - WINDOW_M;
-            while MAX_SCANS < self.window.len()
-                || self.window.front().is_some_and(|scan| scan.path_m < from_m)
-            {
-                self.window.pop_front();
-            }
-        }
-        pose
+    /// Whether the last scan determined its position. The odometry determines it, too.
+    pub(crate) fn is_decided(&self) -> bool {
+        self.is_decided
+    }
+
+    /// Whether the last scan has no known relation to those before: there was no odometry, and most of its points
+    /// are where the scans before saw nothing. Such a scan begins the path anew.
+    pub(crate) fn is_broken(&self) -> bool {
+        self.is_broken
     }
 
     /// The path of the scans so far \[m\].

@@ -54,6 +54,8 @@ pub struct Locator<'a> {
     votes: Votes,
     state: LocatedState,
     tracked: Option<Tracked>,
+    /// The path at the first scan of those that are connected \[m\].
+    start_m: f64,
     /// The path at which the map is compared next \[m\].
     next_m: f64,
 }
@@ -77,7 +79,7 @@ const DISTINCT_DEG: f64 = 15.0;
 /// Places farther away than this are not used to follow a position \[m\].
 const NEAR_M: f64 = 6.0;
 /// Number of places that a position is compared with.
-const N_NEAR: usize = 2;
+const N_NEAR: usize = 4;
 /// The most that an alignment may change the expected pose.
 const MAX_MOVE_M: f64 = 1.0;
 const MAX_MOVE_DEG: f64 = 8.0;
@@ -92,6 +94,11 @@ const N_CARRIED: usize = 4;
 const DEGENERATE_RATIO: f64 = 0.1;
 /// Path without a comparison that fits, after which the position is lost \[m\].
 const LOST_M: f64 = 6.0;
+/// A position with a larger standard deviation along its worst direction is lost \[m\].
+const MAX_STD_M: f64 = 0.5;
+/// Error of the step to a scan that did not determine its position.
+const UNDECIDED_M: f64 = 0.05;
+const UNDECIDED_RAD: f64 = 0.01;
 
 impl<'a> Locator<'a> {
     /// A locator that knows nothing yet. `limits` are the range limits of the lidar.
@@ -112,6 +119,7 @@ impl<'a> Locator<'a> {
             votes: Votes::new(detector.min_confidence),
             state: LocatedState::Searching,
             tracked: None,
+            start_m: 0.0,
             next_m: MIN_PATH_M,
         }
     }
@@ -124,6 +132,17 @@ impl<'a> Locator<'a> {
         self.last = pose;
         if let Some(tracked) = &mut self.tracked {
             tracked.estimate = tracked.estimate.moved(&step, &self.detector.drift);
+            if !self.motion.is_decided() {
+                tracked.estimate = tracked.estimate.uncertain(UNDECIDED_M, UNDECIDED_RAD);
+            }
+        }
+        if self.motion.is_broken() {
+            self.votes.clear();
+            self.start_m = self.motion.path_m();
+            self.next_m = self.start_m + MIN_PATH_M;
+            if self.tracked.take().is_some() {
+                self.state = LocatedState::Lost;
+            }
         }
         if self.next_m <= self.motion.path_m() {
             self.next_m = self.motion.path_m() + STEP_M;
@@ -159,18 +178,17 @@ impl<'a> Locator<'a> {
 
     fn search(&mut self, place: &LocalPlace) {
         let mut votes = self.candidates(place);
-        let carried = self.votes.leaders(N_CARRIED);
-        for leader in carried {
-            if !votes.iter().any(|vote| vote.agrees(&leader)) {
-                votes.extend(self.carry(place, &leader));
-            }
+        for leader in self.votes.leaders(N_CARRIED) {
+            votes.extend(self.carry(place, &leader));
         }
-        self.votes.add(self.motion.path_m(), votes);
+        self.votes.add(self.motion.path_m() - self.start_m, votes);
         let Some(winner) = self.votes.winner() else { return };
         let expected = winner.map_from_local * self.last;
-        if let Some((estimate, confidence)) = self.compare(place, winner.map, &expected) {
+        let compared = self.compare(place, winner.map, &expected);
+        if let Some(estimate) = compared.estimate {
+            let (map, confidence) = (winner.map, compared.confidence);
             let confirmed_m = self.motion.path_m();
-            self.tracked = Some(Tracked { map: winner.map, estimate, confidence, confirmed_m });
+            self.tracked = Some(Tracked { map, estimate, confidence, confirmed_m });
             self.state = LocatedState::Located;
             self.votes.clear();
         }
@@ -226,14 +244,15 @@ impl<'a> Locator<'a> {
 
     fn follow(&mut self, mut tracked: Tracked, place: &LocalPlace) {
         let path_m = self.motion.path_m();
-        if let Some((measured, confidence)) =
-            self.compare(place, tracked.map, &tracked.estimate.pose)
-        {
+        let compared = self.compare(place, tracked.map, &tracked.estimate.pose);
+        tracked.confidence = compared.confidence;
+        if let Some(measured) = compared.estimate {
             tracked.estimate = tracked.estimate.joined(&measured);
-            tracked.confidence = confidence;
             tracked.confirmed_m = path_m;
         }
-        match path_m - tracked.confirmed_m <= LOST_M {
+        let is_known =
+            path_m - tracked.confirmed_m <= LOST_M && tracked.estimate.std_m() <= MAX_STD_M;
+        match is_known {
             true => self.tracked = Some(tracked),
             false => self.state = LocatedState::Lost,
         }
@@ -257,42 +276,61 @@ impl<'a> Locator<'a> {
         })
     }
 
-    /// The alignment with the nearest places of a map. `None` if there is none near, or if the pose changes too
+    /// The best alignment with the nearest places of a map. `None` if there is none near, or if the pose changes too
     /// much.
     fn near_fit(&self, place: &LocalPlace, map: u32, expected: &Pose2) -> Option<NearFit> {
-        let fits = self.map.nearest(map, expected, NEAR_M, N_NEAR).into_iter().map(|k| {
-            let start = self.map.poses[k].inverse() * *expected;
-            let fit = fit(&self.map.nodes[k], &place.node, &start, &self.options);
-            NearFit { reference: k, fit, map_from_node: self.map.poses[k] * fit.a_from_b }
-        });
-        // Of equal fits, the nearest one.
-        let best = fits.reduce(|best, next| match value(&best.fit) < value(&next.fit) {
-            true => next,
-            false => best,
-        })?;
-        let found = best.map_from_node;
-        let is_near = found.distance_m(expected) < MAX_MOVE_M
-            && found.heading_difference_rad(expected) < MAX_MOVE_DEG.to_radians();
-        is_near.then_some(best)
+        let near = self.map.nearest(map, expected, NEAR_M, N_NEAR);
+        let best = best(near.iter().map(|&k| self.fit_at(place, k, expected)))?;
+        is_near(&best.map_from_node, expected).then_some(best)
     }
 
-    /// The pose of the last scan if the submap fits the map near an expected pose, with the confidence of
-    /// the detector.
-    fn compare(&self, place: &LocalPlace, map: u32, expected: &Pose2) -> Option<(Estimate, f64)> {
+    fn fit_at(&self, place: &LocalPlace, reference: usize, start: &Pose2) -> NearFit {
+        let pose = self.map.poses[reference];
+        let start = pose.inverse() * *start;
+        let fit = fit(&self.map.nodes[reference], &place.node, &start, &self.options);
+        NearFit { reference, fit, map_from_node: pose * fit.a_from_b }
+    }
+
+    /// Compares the submap with the map near the expected pose of the last scan.
+    fn compare(&self, place: &LocalPlace, map: u32, expected: &Pose2) -> Compared {
+        let none = Compared { estimate: None, confidence: 0.0 };
         let node_from_scan = place.local_from_node.inverse() * self.last;
-        let map_from_node = *expected * node_from_scan.inverse();
-        let NearFit { reference, fit, map_from_node } =
-            self.near_fit(place, map, &map_from_node)?;
-        let evidence = evidence_of(&fit, 0.0, None);
+        let expected = *expected * node_from_scan.inverse();
+        let Some(here) = self.near_fit(place, map, &expected) else { return none };
+        let best = here;
+        let NearFit { reference, fit, map_from_node } = &best;
+        let evidence = evidence_of(fit, 0.0, None);
+        let compared = Compared { confidence: self.detector.confidence(&evidence), ..none };
         if fit.n_known < MIN_KNOWN || !CONFIRMS.accept(&evidence) {
-            return None;
+            return compared;
         }
         let covariance = closure_covariance(&fit.alignment, &self.options, &self.detector.closure);
-        let heading_rad = self.map.poses[reference].heading_rad;
-        let at_node = Estimate::turned(map_from_node, &covariance, heading_rad);
+        let heading_rad = self.map.poses[*reference].heading_rad;
+        let at_node = Estimate::turned(*map_from_node, &covariance, heading_rad);
         let estimate = at_node.moved(&node_from_scan, &self.detector.drift);
-        Some((estimate, self.detector.confidence(&evidence)))
+        Compared { estimate: Some(estimate), ..compared }
     }
+}
+
+/// Of equal fits, the first one.
+fn best(fits: impl Iterator<Item = NearFit>) -> Option<NearFit> {
+    fits.reduce(|best, next| match value(&best.fit) < value(&next.fit) {
+        true => next,
+        false => best,
+    })
+}
+
+fn is_near(found: &Pose2, expected: &Pose2) -> bool {
+    found.distance_m(expected) < MAX_MOVE_M
+        && found.heading_difference_rad(expected) < MAX_MOVE_DEG.to_radians()
+}
+
+/// What a comparison with the map near a pose says.
+struct Compared {
+    /// The pose of the last scan, if the submap fits.
+    estimate: Option<Estimate>,
+    /// Confidence of the detector.
+    confidence: f64,
 }
 
 /// An alignment with a place near the expected pose.

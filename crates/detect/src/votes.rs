@@ -135,19 +135,28 @@ impl Votes {
                 |vote: &Vote| self.min_confidence <= vote.confidence && winner.agrees(vote);
             ballot.votes.iter().any(is_for)
         };
-        let first = self.ballots.iter().position(is_for)?;
-        let last = self.ballots.iter().rposition(is_for)?;
-        let n_for = self.ballots.iter().filter(|ballot| is_for(ballot)).count();
-        let n_since = self.ballots.len() - first;
-        let span_m = self.ballots[last].path_m - self.ballots[first].path_m;
-        let is_enough = MIN_POSITIONS <= n_for
-            && MIN_LOG_ODDS <= support
-            && MIN_SPAN_M <= span_m
-            && MIN_PATH_M <= self.ballots[last].path_m
-            && MIN_SHARE * n_since as f64 <= n_for as f64;
         let rivals = all().filter(|vote| contradicts(&winner, vote));
         let rival = rivals.map(|vote| self.support(vote)).fold(0.0, f64::max);
-        (is_enough && rival <= MAX_RIVAL * support).then_some(winner)
+        (self.is_enough(&is_for, support) && rival <= MAX_RIVAL * support).then_some(winner)
+    }
+
+    /// Whether the positions that vote for a pose are enough. Their share is that since one of them: the first
+    /// positions may have seen little.
+    fn is_enough(&self, is_for: impl Fn(&Ballot) -> bool, support: f64) -> bool {
+        let votes: Vec<(f64, bool)> =
+            self.ballots.iter().map(|ballot| (ballot.path_m, is_for(ballot))).collect();
+        let Some(last) = votes.iter().rposition(|vote| vote.1) else { return false };
+        let is_since = |first: usize| {
+            let n_for = votes[first..].iter().filter(|vote| vote.1).count();
+            let n_since = votes.len() - first;
+            votes[first].1
+                && MIN_POSITIONS <= n_for
+                && MIN_SPAN_M <= votes[last].0 - votes[first].0
+                && MIN_SHARE * n_since as f64 <= n_for as f64
+        };
+        MIN_LOG_ODDS <= support
+            && MIN_PATH_M <= votes[last].0
+            && (0..=last).any(is_since)
     }
 
     /// The sum over the positions of the weight of the most confident vote that agrees: its log odds minus those
