@@ -195,7 +195,8 @@ fn starts(
             _ => {}
         }
         if outcome != "right" {
-            let is_near = |k: &usize| known.truth.iter().any(|t| t.distance_m(&queries.truth[*k]) < NEAR_M);
+            let is_near =
+                |k: &usize| known.truth.iter().any(|t| t.distance_m(&queries.truth[*k]) < NEAR_M);
             let near = (from..to).filter(is_near).count() as f64 / (to - from).max(1) as f64;
             let pose = queries.truth[from];
             println!(

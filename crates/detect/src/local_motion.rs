@@ -4,7 +4,10 @@ use std::collections::VecDeque;
 
 use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan};
 use model::OdometryNoise;
-use register::{MatcherOptions, Node, NodeMember, Points, RegisterOptions, ScanMatcher, SubmapOptions, is_decided, points_of};
+use register::{
+    MatcherOptions, Node, NodeMember, Points, RegisterOptions, ScanMatcher, SubmapOptions,
+    is_decided, points_of,
+};
 
 /// The scans of this path are joined \[m\]: as much as a place of the map has.
 const WINDOW_M: f64 = 10.0;
@@ -81,19 +84,11 @@ pub(crate) struct LocalPlace {
 
 impl Speed {
     fn of(step: &Pose2, secs: f64) -> Self {
-        Self {
-            x_m: step.x_m / secs,
-            y_m: step.y_m / secs,
-            heading_rad: step.heading_rad / secs,
-        }
+        Self { x_m: step.x_m / secs, y_m: step.y_m / secs, heading_rad: step.heading_rad / secs }
     }
 
     fn step(&self, secs: f64) -> Pose2 {
-        Pose2 {
-            x_m: self.x_m * secs,
-            y_m: self.y_m * secs,
-            heading_rad: self.heading_rad * secs,
-        }
+        Pose2 { x_m: self.x_m * secs, y_m: self.y_m * secs, heading_rad: self.heading_rad * secs }
     }
 }
 

@@ -22,7 +22,8 @@ pub struct Position {
     /// Covariance of x, y and heading of that pose, in the frame of the map. Errors of the map itself are
     /// not in it.
     pub covariance: Matrix3<f64>,
-    /// Confidence of the detector that the last alignment with the map is right, 0 to 1.
+    /// Confidence of the detector that the last alignment with the map is right, 0 to 1. 0 if there was no place
+    /// near, or if the alignment went elsewhere.
     pub confidence: f64,
 }
 
@@ -30,16 +31,19 @@ pub struct Position {
 ///
 /// 1. The scans of the last 10 m of path are matched with each other and joined into a submap.
 /// 2. While the position is unknown: every 0.8 m, the 50 places of the map with the most similar descriptors are
-///    compared with the submap by correlation. The best poses, up to `n_candidates` that differ, are aligned.
-///    Each is a vote, with the confidence of the detector. The four poses that the positions before support
+///    compared with the submap by correlation. The best poses, eight or `n_candidates` that differ, are aligned.
+///    Each is a vote, with the confidence of the detector. The eight poses that the positions before support
 ///    best are aligned as well, so that a place is not missed because the search did not offer it.
-/// 3. A vote speaks for a pose if its confidence is at least `min_confidence`, and its weight is the difference of
-///    the log odds of the two. A pose is accepted after 9 m of path if at least 4 positions along at least 3 m of
-///    path vote for it, if these are most of the positions since, if their weights sum up to 18, and if no other
-///    pose has more than half of that. So a place that looks like another one gives no answer. At last, the
-///    submap has to fit the nearest places of the map.
-/// 4. Then, every 0.8 m, the submap is aligned with the nearest places of the map. If they do not fit any more for
-///    6 m of path, the position is lost, and the search begins again.
+/// 3. A vote speaks for a pose if its confidence is at least `min_confidence`. Its weight is the difference of the
+///    log odds of the two, at most 9. The lead of a pose is the same sum, but over the most confident vote that
+///    contradicts it at the same position. A pose is accepted after 9 m of path if at least 4 positions along
+///    at least 3 m of path vote for it, if these are at least half of the positions since one of them, if its lead
+///    is at least 24, and if no other pose has more than 0.7 of its weight. So a place that looks like another one
+///    gives no answer. At last, the submap has to fit the nearest places of the map.
+/// 4. Then, every 0.8 m, the submap is aligned with the nearest places of the map. The confidence of the position is
+///    that of the last alignment, also if it does not fit. If none fits for 6 m of path, if the standard
+///    deviation of the position exceeds 0.5 m, or if without odometry a scan does not continue those before,
+///    the position is lost, and the search begins again.
 ///
 /// The time per scan and the memory are bounded. The only part of the time that grows with the map is the
 /// comparison of descriptors, with some thousand operations per place.
@@ -73,6 +77,9 @@ struct Tracked {
 const MIN_PATH_M: f64 = 3.0;
 /// Path between two comparisons \[m\].
 const STEP_M: f64 = 0.8;
+/// Number of candidates per position, or `n_candidates` if that is more. A look-alike must not win because the right
+/// pose was not looked at.
+const N_VOTES: usize = 8;
 /// Two candidates of a position differ by more than this.
 const DISTINCT_M: f64 = 2.0;
 const DISTINCT_DEG: f64 = 15.0;
@@ -89,7 +96,7 @@ const MIN_KNOWN: usize = 30;
 /// that need no other evidence. Here, other positions have found the same pose.
 const CONFIRMS: StrongLimits = StrongLimits { known_overlap: 0.5, conflict: 0.3 };
 /// Number of poses that other positions voted for, and that each position is asked about.
-const N_CARRIED: usize = 4;
+const N_CARRIED: usize = 8;
 /// The points do not determine the position if the ratio of the smallest to the largest information is less.
 const DEGENERATE_RATIO: f64 = 0.1;
 /// Path without a comparison that fits, after which the position is lost \[m\].
@@ -185,7 +192,8 @@ impl<'a> Locator<'a> {
         let Some(winner) = self.votes.winner() else { return };
         let expected = winner.map_from_local * self.last;
         let compared = self.compare(place, winner.map, &expected);
-        if let Some(estimate) = compared.estimate {
+        let certain = compared.estimate.filter(|estimate| estimate.std_m() <= MAX_STD_M);
+        if let Some(estimate) = certain {
             let (map, confidence) = (winner.map, compared.confidence);
             let confirmed_m = self.motion.path_m();
             self.tracked = Some(Tracked { map, estimate, confidence, confirmed_m });
@@ -221,7 +229,7 @@ impl<'a> Locator<'a> {
     /// The best places whose best poses differ. Otherwise, the places of one stretch of path that was driven
     /// several times would leave no room for another one that looks like it.
     fn distinct<'b>(&self, correlated: &'b [Correlated]) -> Vec<&'b Correlated> {
-        let n = self.detector.n_candidates as usize;
+        let n = N_VOTES.max(self.detector.n_candidates as usize);
         let mut kept: Vec<(&Correlated, u32, Pose2)> = Vec::with_capacity(n);
         for next in correlated {
             if n <= kept.len() {
@@ -296,17 +304,16 @@ impl<'a> Locator<'a> {
         let none = Compared { estimate: None, confidence: 0.0 };
         let node_from_scan = place.local_from_node.inverse() * self.last;
         let expected = *expected * node_from_scan.inverse();
-        let Some(here) = self.near_fit(place, map, &expected) else { return none };
-        let best = here;
-        let NearFit { reference, fit, map_from_node } = &best;
-        let evidence = evidence_of(fit, 0.0, None);
+        let Some(best) = self.near_fit(place, map, &expected) else { return none };
+        let NearFit { reference, fit, map_from_node } = best;
+        let evidence = evidence_of(&fit, 0.0, None);
         let compared = Compared { confidence: self.detector.confidence(&evidence), ..none };
         if fit.n_known < MIN_KNOWN || !CONFIRMS.accept(&evidence) {
             return compared;
         }
         let covariance = closure_covariance(&fit.alignment, &self.options, &self.detector.closure);
-        let heading_rad = self.map.poses[*reference].heading_rad;
-        let at_node = Estimate::turned(*map_from_node, &covariance, heading_rad);
+        let heading_rad = self.map.poses[reference].heading_rad;
+        let at_node = Estimate::turned(map_from_node, &covariance, heading_rad);
         let estimate = at_node.moved(&node_from_scan, &self.detector.drift);
         Compared { estimate: Some(estimate), ..compared }
     }

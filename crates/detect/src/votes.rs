@@ -48,14 +48,14 @@ const MIN_POSITIONS: usize = 4;
 const MIN_SPAN_M: f64 = 3.0;
 /// The least path of all scans that they have seen \[m\].
 const MIN_PATH_M: f64 = 9.0;
-/// The least share of the positions from the first one that agrees to the last.
-const MIN_SHARE: f64 = 0.6;
-/// The least support. Look-alikes on the simulated campus had up to 14.
-const MIN_LOG_ODDS: f64 = 18.0;
+/// The least share of the positions from one that agrees to the last.
+const MIN_SHARE: f64 = 0.5;
 /// The most that one position counts.
-const MAX_LOG_ODDS: f64 = 6.0;
+const MAX_LOG_ODDS: f64 = 9.0;
+/// The least lead over other poses. On the simulated campus, look-alikes had up to 20.
+const MIN_LEAD: f64 = 24.0;
 /// The best rival has at most this share of the support.
-const MAX_RIVAL: f64 = 0.5;
+const MAX_RIVAL: f64 = 0.7;
 
 /// How two votes relate.
 fn difference(a: &Vote, b: &Vote) -> (f64, f64) {
@@ -130,21 +130,23 @@ impl Votes {
                 _ => Some(next),
             },
         )?;
-        let is_for = |ballot: &Ballot| {
-            let is_for =
-                |vote: &Vote| self.min_confidence <= vote.confidence && winner.agrees(vote);
-            ballot.votes.iter().any(is_for)
-        };
         let rivals = all().filter(|vote| contradicts(&winner, vote));
         let rival = rivals.map(|vote| self.support(vote)).fold(0.0, f64::max);
-        (self.is_enough(&is_for, support) && rival <= MAX_RIVAL * support).then_some(winner)
+        let decides = self.is_enough(&winner)
+            && MIN_LEAD <= self.lead(&winner)
+            && rival <= MAX_RIVAL * support;
+        decides.then_some(winner)
     }
 
     /// Whether the positions that vote for a pose are enough. Their share is that since one of them: the first
     /// positions may have seen little.
-    fn is_enough(&self, is_for: impl Fn(&Ballot) -> bool, support: f64) -> bool {
-        let votes: Vec<(f64, bool)> =
-            self.ballots.iter().map(|ballot| (ballot.path_m, is_for(ballot))).collect();
+    fn is_enough(&self, winner: &Vote) -> bool {
+        let is_for = |vote: &Vote| self.min_confidence <= vote.confidence && winner.agrees(vote);
+        let votes: Vec<(f64, bool)> = self
+            .ballots
+            .iter()
+            .map(|ballot| (ballot.path_m, ballot.votes.iter().any(is_for)))
+            .collect();
         let Some(last) = votes.iter().rposition(|vote| vote.1) else { return false };
         let is_since = |first: usize| {
             let n_for = votes[first..].iter().filter(|vote| vote.1).count();
@@ -154,20 +156,40 @@ impl Votes {
                 && MIN_SPAN_M <= votes[last].0 - votes[first].0
                 && MIN_SHARE * n_since as f64 <= n_for as f64
         };
-        MIN_LOG_ODDS <= support
-            && MIN_PATH_M <= votes[last].0
-            && (0..=last).any(is_since)
+        MIN_PATH_M <= votes[last].0 && (0..=last).any(is_since)
     }
 
     /// The sum over the positions of the weight of the most confident vote that agrees: its log odds minus those
     /// of `min_confidence`, from 0 to [`MAX_LOG_ODDS`].
     fn support(&self, vote: &Vote) -> f64 {
+        let least = log_odds(self.min_confidence);
+        let of_ballot =
+            |ballot: &Ballot| weight(ballot.log_odds(|other| vote.agrees(other)), least);
+        self.ballots.iter().map(of_ballot).sum()
+    }
+
+    /// The same, but each position counts only as much as its most confident vote that agrees is ahead of the
+    /// most confident one that contradicts. So a position where a look-alike fits better says nothing.
+    fn lead(&self, vote: &Vote) -> f64 {
+        let least = log_odds(self.min_confidence);
         let of_ballot = |ballot: &Ballot| {
-            let agreeing = ballot.votes.iter().filter(|other| vote.agrees(other));
-            let confidence = agreeing.map(|other| other.confidence).fold(0.0, f64::max);
-            (log_odds(confidence) - log_odds(self.min_confidence)).clamp(0.0, MAX_LOG_ODDS)
+            let against = ballot.log_odds(|other| contradicts(vote, other)).unwrap_or(least);
+            weight(ballot.log_odds(|other| vote.agrees(other)), against.max(least))
         };
         self.ballots.iter().map(of_ballot).sum()
+    }
+}
+
+/// How far the log odds are above others, from 0 to [`MAX_LOG_ODDS`].
+fn weight(log_odds: Option<f64>, least: f64) -> f64 {
+    log_odds.map_or(0.0, |found| (found - least).clamp(0.0, MAX_LOG_ODDS))
+}
+
+impl Ballot {
+    /// The log odds of the most confident of some of the votes.
+    fn log_odds(&self, is_some: impl Fn(&Vote) -> bool) -> Option<f64> {
+        let votes = self.votes.iter().filter(|vote| is_some(vote));
+        votes.map(|vote| log_odds(vote.confidence)).reduce(f64::max)
     }
 }
 
@@ -180,36 +202,63 @@ mod tests {
         Vote { map: 0, map_from_local: at(x_m), local: at(at_m), margin: 0.2, confidence }
     }
 
-    /// Positions every metre from 6 m on. The first one with 9 m of path behind it is the fourth. The log odds of
-    /// 0.99 are 4.6, four times that is more than 18.
+    /// The log odds of 0.999 are 6.9, those of 0.6 are 0.4. So each position has a lead of 6.5, and the fourth one,
+    /// which is the first with 9 m of path behind it, brings it to 26.
     #[test]
     fn four_positions_that_agree_decide() {
         let mut votes = Votes::new(0.5);
         for k in 0..4 {
             assert!(votes.winner().is_none(), "{k}");
             let path_m = 6.0 + f64::from(k);
-            votes.add(
-                path_m,
-                vec![vote(50.0, path_m, 0.99), vote(f64::from(k) * 20.0, path_m, 0.6)],
-            );
+            let other = vote(f64::from(k) * 20.0, path_m, 0.6);
+            votes.add(path_m, vec![vote(50.0, path_m, 0.999), other]);
         }
-        assert!(
-            votes.winner().is_some_and(|winner| (winner.map_from_local.x_m - 50.0).abs() < 1e-9)
-        );
+        let winner = votes.winner();
+        assert!(winner.is_some_and(|winner| (winner.map_from_local.x_m - 50.0).abs() < 1e-9));
     }
 
-    /// The log odds of 0.99 and 0.9 are 4.6 and 2.2: less than half. Those of 0.92 are 2.44.
+    /// The log odds of 0.99, 0.8 and 0.9 are 4.6, 1.4 and 2.2: leads of 3.2 and 2.4 per position. Eight positions
+    /// are 25.7 and 19.2.
     #[test]
-    fn a_rival_with_more_than_half_of_the_log_odds_prevents_a_decision() {
-        for (confidence, is_decided) in [(0.9, true), (0.92, false)] {
+    fn a_rival_prevents_a_decision() {
+        for (confidence, is_decided) in [(0.8, true), (0.9, false)] {
             let mut votes = Votes::new(0.5);
-            for k in 0..4 {
+            for k in 0..8 {
                 let path_m = 6.0 + f64::from(k);
                 let both = vec![vote(50.0, path_m, 0.99), vote(10.0, path_m, confidence)];
                 votes.add(path_m, both);
             }
             assert_eq!(votes.winner().is_some(), is_decided);
         }
+    }
+
+    /// The rival has more than 0.7 of the support, but at other positions: the lead alone does not decide.
+    #[test]
+    fn a_rival_at_other_positions_prevents_a_decision() {
+        for (n_rival, is_decided) in [(2, true), (6, false)] {
+            let mut votes = Votes::new(0.5);
+            for k in 0..6 + n_rival {
+                let x_m = if k < 6 { 50.0 } else { 10.0 };
+                let path_m = 6.0 + f64::from(k);
+                votes.add(path_m, vec![vote(x_m, path_m, 0.999)]);
+            }
+            assert_eq!(votes.winner().is_some(), is_decided, "{n_rival}");
+        }
+    }
+
+    /// Positions that saw little at first do not count against those after them.
+    #[test]
+    fn positions_before_the_first_that_agrees_do_not_count() {
+        let mut votes = Votes::new(0.5);
+        votes.add(3.0, vec![vote(50.0, 3.0, 0.6)]);
+        for k in 4..12 {
+            votes.add(f64::from(k), Vec::new());
+        }
+        for k in 12..16 {
+            assert!(votes.winner().is_none(), "{k}");
+            votes.add(f64::from(k), vec![vote(50.0, f64::from(k), 0.999)]);
+        }
+        assert!(votes.winner().is_some());
     }
 
     /// A robot that does not move forgets by number, one that drives by path.
