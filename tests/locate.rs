@@ -37,7 +37,7 @@ fn a_log_is_located_in_the_map_of_its_own_drive() {
     assert!(rows.len() < 2 * n_located, "{n_located} of {} scans", rows.len());
 
     let error = loopboost(&["locate", "--map", &map, &log, "--map-log", "monday", "--out", &out]);
-    assert_eq!(error.code, 1, "{}", error.stderr);
+    assert_eq!(error.code, 2, "{}", error.stderr);
     assert!(error.stderr.contains("no such log, expected one of `friday`"), "{}", error.stderr);
 }
 

@@ -24,11 +24,7 @@ fn main() {
 
 #[divan::bench(sample_count = 20, sample_size = 1)]
 fn search_step(bencher: Bencher<'_, '_>) {
-    time_of_a_scan(
-        bencher,
-        &Detector { n_candidates: 8, ..no_position() },
-        LocatedState::Searching,
-    );
+    time_of_a_scan(bencher, &no_position(), LocatedState::Searching);
 }
 
 #[divan::bench(sample_count = 20, sample_size = 1)]

@@ -13,6 +13,7 @@
 #![allow(clippy::print_stdout, reason = "an example prints its results")]
 
 use std::error::Error;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -152,6 +153,42 @@ impl Queries {
     }
 }
 
+/// What came of a search.
+#[derive(Clone, Copy, PartialEq)]
+enum Outcome {
+    Right,
+    Wrong,
+    None,
+}
+
+/// Searches from a scan on. Adds the path until the first position, and the time of each scan.
+fn search(
+    known: &Known,
+    queries: &Queries,
+    detector: &Detector,
+    scans: Range<usize>,
+    [first_m, times_ms]: [&mut Vec<f64>; 2],
+) -> Result<Outcome, Box<dyn Error>> {
+    let numbers: Vec<u32> = scans.clone().map(|k| k as u32).collect();
+    let from = scans.start;
+    let mut locator = Locator::new(&known.map, detector, &RegisterOptions::default(), LIMITS);
+    for (k, scan) in scans.zip(&queries.log.scans(&numbers)?) {
+        let begin = Instant::now();
+        locator.add(scan, if k == from { None } else { queries.step(k) });
+        times_ms.push(begin.elapsed().as_secs_f64() * 1e3);
+        let Some(position) = locator.position() else { continue };
+        first_m.push(queries.path_m[k] - queries.path_m[from]);
+        if !known.is_wrong(&position, &queries.truth[k]) {
+            return Ok(Outcome::Right);
+        }
+        let (off_m, off_rad) = known.error(&position, &queries.truth[k]);
+        let off_deg = off_rad.to_degrees();
+        println!("wrong by {off_m:.2} m, {off_deg:.1} deg, confidence {:.2}", position.confidence);
+        return Ok(Outcome::Wrong);
+    }
+    Ok(Outcome::None)
+}
+
 fn starts(
     known: &Known,
     queries: &Queries,
@@ -162,50 +199,30 @@ fn starts(
     let mut random = SplitMix64::new(seed);
     let last_m = queries.path_m.last().copied().unwrap_or_default() - MOST_M;
     let n_possible = queries.path_m.partition_point(|&m| m < last_m);
-    let (mut n_right, mut n_wrong) = (0, 0);
-    let (mut first_m, mut times_ms) = (Vec::new(), Vec::new());
+    let (mut outcomes, mut first_m, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
     for _ in 0..n {
         let from = (random.unit() * n_possible as f64) as usize;
         let to = queries.path_m.partition_point(|&m| m <= queries.path_m[from] + MOST_M);
-        let numbers: Vec<u32> = (from as u32..to as u32).collect();
-        let scans = queries.log.scans(&numbers)?;
-        let mut locator = Locator::new(&known.map, detector, &RegisterOptions::default(), LIMITS);
-        let mut outcome = "none";
-        for (k, scan) in (from..to).zip(&scans) {
-            let begin = Instant::now();
-            locator.add(scan, if k == from { None } else { queries.step(k) });
-            times_ms.push(begin.elapsed().as_secs_f64() * 1e3);
-            let Some(position) = locator.position() else { continue };
-            first_m.push(queries.path_m[k] - queries.path_m[from]);
-            let is_wrong = known.is_wrong(&position, &queries.truth[k]);
-            if is_wrong {
-                let (off_m, off_rad) = known.error(&position, &queries.truth[k]);
-                println!(
-                    "wrong by {off_m:.2} m, {:.1} deg, confidence {:.2}",
-                    off_rad.to_degrees(),
-                    position.confidence
-                );
-            }
-            outcome = if is_wrong { "wrong" } else { "right" };
-            break;
-        }
+        let outcome =
+            search(known, queries, detector, from..to, [&mut first_m, &mut times_ms])?;
+        let is_near =
+            |k: &usize| known.truth.iter().any(|t| t.distance_m(&queries.truth[*k]) < NEAR_M);
+        let n_near = (from..to).filter(is_near).count();
+        outcomes.push((outcome, to - from <= 2 * n_near));
+        let pose = queries.truth[from];
         match outcome {
-            "right" => n_right += 1,
-            "wrong" => n_wrong += 1,
-            _ => {}
-        }
-        if outcome != "right" {
-            let is_near =
-                |k: &usize| known.truth.iter().any(|t| t.distance_m(&queries.truth[*k]) < NEAR_M);
-            let near = (from..to).filter(is_near).count() as f64 / (to - from).max(1) as f64;
-            let pose = queries.truth[from];
-            println!(
-                "start at scan {from} ({:.0}, {:.0}): {outcome}; {near:.2} of the scans within {NEAR_M} m of the map",
-                pose.x_m, pose.y_m
-            );
+            Outcome::Right => {}
+            Outcome::Wrong => println!("start at scan {from} ({:.0}, {:.0}): wrong", pose.x_m, pose.y_m),
+            Outcome::None => println!("start at scan {from} ({:.0}, {:.0}): none", pose.x_m, pose.y_m),
         }
     }
-    println!("{n} starts: {n_right} right, {n_wrong} wrong, {} none", n - n_right - n_wrong);
+    for (of, only_near) in [("starts", false), ("starts with half of the scans near the map", true)] {
+        let counted = outcomes.iter().filter(|(_, is_near)| *is_near || !only_near);
+        let found: Vec<Outcome> = counted.map(|(outcome, _)| *outcome).collect();
+        let [n_right, n_wrong, n_none] = [Outcome::Right, Outcome::Wrong, Outcome::None]
+            .map(|kind| found.iter().filter(|outcome| **outcome == kind).count());
+        println!("{} {of}: {n_right} right, {n_wrong} wrong, {n_none} none", found.len());
+    }
     println!(
         "first position after: median {:.1} m, p99 {:.1} m",
         quantile(&mut first_m, 0.5),
