@@ -2,7 +2,7 @@
 
 use dataset::Pose2;
 
-use crate::graph::{Edge, Solver};
+use crate::graph::{Edge, Solver, optimize};
 
 /// A closure whose squared error is above this value is rejected: the 99 % quantile of the chi-square
 /// distribution with 3 degrees of freedom.
@@ -28,11 +28,10 @@ pub struct Robust {
 /// In the end, the graph is optimized again from `start` with the kept closures, because the last poses
 /// of a graduation that rejects everything can be bad.
 pub fn reject_false_closures(odometry: &[Edge], closures: &[Edge], start: &[Pose2]) -> Robust {
-    let edges: Vec<Edge> = odometry.iter().chain(closures).copied().collect();
-    let mut solver = Solver::new(start.len(), &edges);
-    let mut weights = vec![1.0; edges.len()];
+    let mut weights = vec![1.0; closures.len()];
+    let mut graph = Graduated::new(odometry, closures, start.len());
     let mut poses = start.to_vec();
-    solver.optimize(&weights, &mut poses);
+    graph.optimize(&weights, &mut poses);
     let chi2_of =
         |poses: &[Pose2]| -> Vec<f64> { closures.iter().map(|c| c.chi2(poses)).collect() };
     let mut chi2 = chi2_of(&poses);
@@ -40,10 +39,10 @@ pub fn reject_false_closures(odometry: &[Edge], closures: &[Edge], start: &[Pose
     if MAX_CHI2 < largest {
         let mut control = MAX_CHI2 / (2.0 * largest - MAX_CHI2);
         for _ in 0..MAX_ROUNDS {
-            for (weight, &chi2) in weights[odometry.len()..].iter_mut().zip(&chi2) {
+            for (weight, &chi2) in weights.iter_mut().zip(&chi2) {
                 *weight = truncated_weight(chi2, control);
             }
-            solver.optimize(&weights, &mut poses);
+            graph.optimize(&weights, &mut poses);
             chi2 = chi2_of(&poses);
             if weights.iter().all(|&w| w == 0.0 || w == 1.0) {
                 break;
@@ -51,13 +50,50 @@ pub fn reject_false_closures(odometry: &[Edge], closures: &[Edge], start: &[Pose
             control *= GROWTH;
         }
     }
-    let is_kept: Vec<bool> = weights[odometry.len()..].iter().map(|&weight| weight > 0.5).collect();
-    for (weight, &is_kept) in weights[odometry.len()..].iter_mut().zip(&is_kept) {
-        *weight = if is_kept { 1.0 } else { 0.0 };
+    let is_kept: Vec<bool> = weights.iter().map(|&weight| weight > 0.5).collect();
+    let kept = closures.iter().zip(&is_kept).filter(|(_, kept)| **kept).map(|(edge, _)| edge);
+    let edges: Vec<Edge> = odometry.iter().chain(kept).copied().collect();
+    Robust { poses: optimize(&edges, start), is_kept }
+}
+
+/// The graph of the closures that have a weight.
+struct Graduated<'a> {
+    odometry: &'a [Edge],
+    closures: &'a [Edge],
+    /// The closures in the graph, ascending.
+    members: Vec<usize>,
+    solver: Solver,
+}
+
+/// Closures without weight make each step slower. They are taken out when they are this share of all.
+const MAX_IDLE_SHARE: f64 = 0.1;
+/// A step that reduces the cost by a smaller share is the last one of a round.
+const CONVERGED: f64 = 1e-4;
+
+impl<'a> Graduated<'a> {
+    fn new(odometry: &'a [Edge], closures: &'a [Edge], n_poses: usize) -> Self {
+        let members: Vec<usize> = (0..closures.len()).collect();
+        let edges = odometry.iter().chain(closures).copied().collect();
+        Self { odometry, closures, members, solver: Solver::new(n_poses, edges) }
     }
-    let mut poses = start.to_vec();
-    solver.optimize(&weights, &mut poses);
-    Robust { poses, is_kept }
+
+    /// Optimizes the poses with these weights of the closures.
+    fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2]) {
+        let with_weight: Vec<usize> = (0..weights.len()).filter(|&k| 0.0 < weights[k]).collect();
+        let is_member = |k: &usize| self.members.binary_search(k).is_ok();
+        let n_idle = self.members.len().saturating_sub(with_weight.len());
+        if MAX_IDLE_SHARE * (self.members.len() as f64) < n_idle as f64
+            || !with_weight.iter().all(is_member)
+        {
+            let closures = with_weight.iter().map(|&k| &self.closures[k]);
+            let edges = self.odometry.iter().chain(closures).copied().collect();
+            self.solver = Solver::new(poses.len(), edges);
+            self.members = with_weight;
+        }
+        let mut of_edges = vec![1.0; self.odometry.len()];
+        of_edges.extend(self.members.iter().map(|&k| weights[k]));
+        self.solver.optimize(&of_edges, poses, CONVERGED);
+    }
 }
 
 /// The weight of a closure at a control parameter mu, with c^2 = [`MAX_CHI2`]: 1 below
