@@ -154,7 +154,7 @@ impl Queries {
 }
 
 /// What came of a search.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 enum Outcome {
     Right,
     Wrong,
@@ -203,20 +203,18 @@ fn starts(
     for _ in 0..n {
         let from = (random.unit() * n_possible as f64) as usize;
         let to = queries.path_m.partition_point(|&m| m <= queries.path_m[from] + MOST_M);
-        let outcome =
-            search(known, queries, detector, from..to, [&mut first_m, &mut times_ms])?;
+        let outcome = search(known, queries, detector, from..to, [&mut first_m, &mut times_ms])?;
         let is_near =
             |k: &usize| known.truth.iter().any(|t| t.distance_m(&queries.truth[*k]) < NEAR_M);
         let n_near = (from..to).filter(is_near).count();
         outcomes.push((outcome, to - from <= 2 * n_near));
-        let pose = queries.truth[from];
-        match outcome {
-            Outcome::Right => {}
-            Outcome::Wrong => println!("start at scan {from} ({:.0}, {:.0}): wrong", pose.x_m, pose.y_m),
-            Outcome::None => println!("start at scan {from} ({:.0}, {:.0}): none", pose.x_m, pose.y_m),
+        if outcome != Outcome::Right {
+            let pose = queries.truth[from];
+            println!("start at scan {from} ({:.0}, {:.0}): {outcome:?}", pose.x_m, pose.y_m);
         }
     }
-    for (of, only_near) in [("starts", false), ("starts with half of the scans near the map", true)] {
+    for (of, only_near) in [("starts", false), ("starts with half of the scans near the map", true)]
+    {
         let counted = outcomes.iter().filter(|(_, is_near)| *is_near || !only_near);
         let found: Vec<Outcome> = counted.map(|(outcome, _)| *outcome).collect();
         let [n_right, n_wrong, n_none] = [Outcome::Right, Outcome::Wrong, Outcome::None]
