@@ -258,13 +258,16 @@ mod tests {
     use super::*;
     use std::f64::consts::TAU;
 
-    /// A round room of 3 m.
-    fn scan() -> Scan {
+    const WITHOUT_NOISE: OdometryNoise =
+        OdometryNoise { std_m_per_m: 1e-6, std_m: 1e-6, std_rad_per_sqrt_m: 1e-6, std_rad: 1e-6 };
+
+    /// A round room.
+    fn room(radius_m: f64) -> Scan {
         let mut scan = Scan { coverage_deg: 360.0, ..Scan::default() };
         for k in 0..360 {
             let (sin, cos) = libm::sincos(TAU * f64::from(k) / 360.0);
-            scan.x_m.push((3.0 * cos) as f32);
-            scan.y_m.push((3.0 * sin) as f32);
+            scan.x_m.push((radius_m * cos) as f32);
+            scan.y_m.push((radius_m * sin) as f32);
         }
         scan
     }
@@ -273,24 +276,36 @@ mod tests {
     #[test]
     fn the_number_of_scans_is_bounded() {
         let limits = RangeLimits { min_m: 0.1, max_m: 25.0 };
-        let noise = OdometryNoise {
-            std_m_per_m: 1e-6,
-            std_m: 1e-6,
-            std_rad_per_sqrt_m: 1e-6,
-            std_rad: 1e-6,
-        };
+        let noise = WITHOUT_NOISE;
         let turn = Pose2 { heading_rad: TAU / 12.0, ..Pose2::default() };
         let mut motion = LocalMotion::new(&RegisterOptions::default(), limits, noise);
         for _ in 0..2 * MAX_SCANS {
-            motion.add(&scan(), Some(turn));
+            motion.add(&room(3.0), Some(turn));
             assert!(motion.window.len() <= MAX_SCANS);
         }
         let drive = Pose2 { x_m: 0.5, ..Pose2::default() };
         for _ in 0..2 * MAX_SCANS {
-            motion.add(&scan(), Some(drive));
+            motion.add(&room(3.0), Some(drive));
             assert!(motion.window.len() <= MAX_SCANS);
         }
         assert!(motion.window.len() < MAX_SCANS / 2);
         assert!(motion.place().is_some());
+    }
+
+    /// The lidar sees another room from one scan to the next.
+    #[test]
+    fn a_scan_that_continues_nothing_begins_a_new_path() {
+        let limits = RangeLimits { min_m: 0.1, max_m: 25.0 };
+        let noise = WITHOUT_NOISE;
+        let mut motion = LocalMotion::new(&RegisterOptions::default(), limits, noise);
+        for (radius_m, is_broken) in [(3.0, false), (3.0, false), (9.0, true), (9.0, false)] {
+            motion.add(&room(radius_m), None);
+            assert_eq!(motion.is_broken(), is_broken, "{radius_m}");
+        }
+        // Only the scan with which the new path began is left.
+        assert_eq!(motion.window.len(), 1);
+        // With odometry, the relation is known.
+        motion.add(&room(3.0), Some(Pose2 { x_m: 0.5, ..Pose2::default() }));
+        assert!(!motion.is_broken() && motion.window.len() == 2);
     }
 }

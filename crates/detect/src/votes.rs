@@ -52,8 +52,8 @@ const MIN_PATH_M: f64 = 9.0;
 const MIN_SHARE: f64 = 0.5;
 /// The most that one position counts.
 const MAX_LOG_ODDS: f64 = 9.0;
-/// The least lead over other poses. On the simulated campus, look-alikes had leads from 16 to 20 at four of 400
-/// starts.
+/// The least lead over other poses. On the simulated campus, look-alikes had leads from 16 to 20 at four of about
+/// 400 starts.
 const MIN_LEAD: f64 = 24.0;
 /// The best rival has at most this share of the support.
 const MAX_RIVAL: f64 = 0.7;
