@@ -9,9 +9,9 @@ fn scan(x_m: f64) -> Scan {
     for k in 0..180 {
         let (sin, cos) = (f64::from(k) - 90.0).to_radians().sin_cos();
         let to_wall = 3.0 / sin.abs().max(1e-9);
-        // Columns of 0.6 m in irregular distances along both walls.
+        // Columns of 0.6 m in irregular distances along both walls. No part of the hall repeats.
         let to_column = (0..90u32).filter_map(|column| {
-            let along = 2.3 * f64::from(column) + f64::from(column * column % 7) * 0.2 - x_m;
+            let along = 2.3 * f64::from(column) + f64::from(column * column % 97) * 0.0125 - x_m;
             let across = if column % 3 == 0 { 2.5 } else { -2.5 };
             let off = (along * sin - across * cos).abs();
             let range = along * cos + across * sin;
