@@ -49,11 +49,7 @@ pub fn close_loops(
     detector: &Detector,
     min_path_m: f64,
 ) -> Solution {
-    let mut scans = places_along(drive, PLACE_STEP_M);
-    scans.extend(proposals.iter().flat_map(|proposal| [proposal.query, proposal.reference]));
-    scans.sort_unstable();
-    scans.dedup();
-    let places = Places::new(drive, &drive.poses, scans);
+    let places = places_of(drive, proposals);
     let (offered, links): (Vec<usize>, Vec<Link>) = proposals
         .iter()
         .enumerate()
@@ -69,6 +65,9 @@ pub fn close_loops(
     let start: Vec<Pose2> = places.scans.iter().map(|&scan| drive.poses[scan]).collect();
     let path_m = &places.path_m;
     let certainty = |links: &[Link]| Certainty::new(&path_of_links(links, path_m), &detector.drift);
+    let earlier = |query: usize, near: &mut Vec<usize>| {
+        near.retain(|&k| min_path_m <= path_m[query] - path_m[k]);
+    };
     let graph = Graph {
         places: &places,
         choose: &|links| {
@@ -77,14 +76,7 @@ pub fn close_loops(
             (robust.is_kept, robust.poses)
         },
         predict: &|poses, links| {
-            let mut predicted = predictions(
-                path_m,
-                poses,
-                &|query, near| {
-                    near.retain(|&k| min_path_m <= path_m[query] - path_m[k]);
-                },
-                None,
-            );
+            let mut predicted = predictions(path_m, poses, &earlier, None);
             certainty(links).mark(path_m, &mut predicted);
             predicted
         },
@@ -107,18 +99,10 @@ pub fn close_loops(
         let Some(confirmed) = outcome.confirmed else {
             return unclosed(drive, proposals, &reasons, detector, rounds);
         };
-        let certainty = certainty(&confirmed.links);
         let poses = carry(drive, &drive.poses, &places.scans, &confirmed.poses);
-        let is_held: Vec<bool> = (0..poses.len()).map(|scan| scan == 0).collect();
-        let certain = |min_path_m: f64| {
-            let certainty = &certainty;
-            move |query: usize, near: &mut Vec<usize>| {
-                near.retain(|&k| min_path_m <= drive.path_m[query] - drive.path_m[k]);
-                certainty.retain(&drive.path_m, query, near);
-            }
-        };
-        let poses = align_all(drive, &poses, &|_| true, &is_held, &certain(LOOP_GAP_M), detector);
-        let mut compared = compare_keyframes(drive, &poses, &certain(min_path_m), KEYFRAME_LIMIT);
+        let certainty = certainty(&confirmed.links);
+        let (poses, mut compared) =
+            align_and_compare(drive, &poses, &certainty, detector, min_path_m);
         let unsupported = mark_unsupported(&drive.path_m, &mut compared);
         let mut n_dropped = 0;
         for (position, link) in links.iter().enumerate() {
@@ -133,6 +117,35 @@ pub fn close_loops(
             return closed(drive, proposals, &reasons, detector, poses, &compared, rounds);
         }
     }
+}
+
+/// The places along a drive, and those of proposals.
+fn places_of<'a>(drive: &'a Drive<'a>, proposals: &[Proposal]) -> Places<'a> {
+    let mut scans = places_along(drive, PLACE_STEP_M);
+    scans.extend(proposals.iter().flat_map(|proposal| [proposal.query, proposal.reference]));
+    scans.sort_unstable();
+    scans.dedup();
+    Places::new(drive, &drive.poses, scans)
+}
+
+/// Aligns all scans of a drive, and compares its keyframes.
+fn align_and_compare(
+    drive: &Drive<'_>,
+    poses: &[Pose2],
+    certainty: &Certainty,
+    detector: &Detector,
+    min_path_m: f64,
+) -> (Vec<Pose2>, Vec<ComparedKeyframes>) {
+    let certain = |min_path_m: f64| {
+        move |query: usize, near: &mut Vec<usize>| {
+            near.retain(|&k| min_path_m <= drive.path_m[query] - drive.path_m[k]);
+            certainty.retain(&drive.path_m, query, near);
+        }
+    };
+    let is_held: Vec<bool> = (0..poses.len()).map(|scan| scan == 0).collect();
+    let poses = align_all(drive, poses, &|_| true, &is_held, &certain(LOOP_GAP_M), detector);
+    let compared = compare_keyframes(drive, &poses, &certain(min_path_m), KEYFRAME_LIMIT);
+    (poses, compared)
 }
 
 /// A group of keyframes whose share of confirmed pairs is less, and not by chance, is not accepted, unless
