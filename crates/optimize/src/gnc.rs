@@ -28,46 +28,70 @@ pub struct Robust {
 /// In the end, the graph is optimized again from `start` with the kept closures, because the last poses
 /// of a graduation that rejects everything can be bad.
 pub fn reject_false_closures(odometry: &[Edge], closures: &[Edge], start: &[Pose2]) -> Robust {
-    let edges: Vec<Edge> = odometry.iter().chain(closures).copied().collect();
+    let shares = vec![1.0; closures.len()];
+    let max_chi2 = vec![MAX_CHI2; closures.len()];
+    reject_outliers(odometry, &Doubtful { edges: closures, shares, max_chi2 }, start)
+}
+
+/// Measurements of which some are wrong.
+pub(crate) struct Doubtful<'a> {
+    pub(crate) edges: &'a [Edge],
+    /// The weight of each in the cost, if it is kept. Whether it is kept is decided with its whole squared
+    /// error.
+    pub(crate) shares: Vec<f64>,
+    /// The squared error above which each is rejected.
+    pub(crate) max_chi2: Vec<f64>,
+}
+
+/// The same as [`reject_false_closures`] for any doubtful measurements.
+pub(crate) fn reject_outliers(
+    trusted: &[Edge],
+    doubtful: &Doubtful<'_>,
+    start: &[Pose2],
+) -> Robust {
+    let Doubtful { edges: doubted, shares, max_chi2 } = doubtful;
+    let edges: Vec<Edge> = trusted.iter().chain(*doubted).copied().collect();
     let mut solver = Solver::new(start.len(), &edges);
     let mut weights = vec![1.0; edges.len()];
+    weights[trusted.len()..].copy_from_slice(shares);
     let mut poses = start.to_vec();
     solver.optimize(&weights, &mut poses);
-    let chi2_of =
-        |poses: &[Pose2]| -> Vec<f64> { closures.iter().map(|c| c.chi2(poses)).collect() };
+    let chi2_of = |poses: &[Pose2]| -> Vec<f64> { doubted.iter().map(|c| c.chi2(poses)).collect() };
     let mut chi2 = chi2_of(&poses);
-    let largest = chi2.iter().copied().fold(0.0, f64::max);
-    if MAX_CHI2 < largest {
-        let mut control = MAX_CHI2 / (2.0 * largest - MAX_CHI2);
+    let mut kept = vec![1.0; doubted.len()];
+    let worst = chi2.iter().zip(max_chi2).max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
+    if let Some((largest, max)) = worst.filter(|(chi2, max)| max < chi2) {
+        let mut control = max / (2.0 * largest - max);
         for _ in 0..MAX_ROUNDS {
-            for (weight, &chi2) in weights[odometry.len()..].iter_mut().zip(&chi2) {
-                *weight = truncated_weight(chi2, control);
+            for (k, weight) in kept.iter_mut().enumerate() {
+                *weight = truncated_weight(chi2[k], control, max_chi2[k]);
+                weights[trusted.len() + k] = *weight * shares[k];
             }
             solver.optimize(&weights, &mut poses);
             chi2 = chi2_of(&poses);
-            if weights.iter().all(|&w| w == 0.0 || w == 1.0) {
+            if kept.iter().all(|&w| w == 0.0 || w == 1.0) {
                 break;
             }
             control *= GROWTH;
         }
     }
-    let is_kept: Vec<bool> = weights[odometry.len()..].iter().map(|&weight| weight > 0.5).collect();
-    for (weight, &is_kept) in weights[odometry.len()..].iter_mut().zip(&is_kept) {
-        *weight = if is_kept { 1.0 } else { 0.0 };
+    let is_kept: Vec<bool> = kept.iter().map(|&weight| weight > 0.5).collect();
+    for (k, &is_kept) in is_kept.iter().enumerate() {
+        weights[trusted.len() + k] = if is_kept { shares[k] } else { 0.0 };
     }
     let mut poses = start.to_vec();
     solver.optimize(&weights, &mut poses);
     Robust { poses, is_kept }
 }
 
-/// The weight of a closure at a control parameter mu, with c^2 = [`MAX_CHI2`]: 1 below
+/// The weight of a closure at a control parameter mu, with c^2 = `max_chi2`: 1 below
 /// mu / (mu + 1) c^2, 0 above (mu + 1) / mu c^2, and sqrt(c^2 mu (mu + 1) / chi2) - mu between.
-fn truncated_weight(chi2: f64, control: f64) -> f64 {
-    if chi2 <= control / (control + 1.0) * MAX_CHI2 {
+fn truncated_weight(chi2: f64, control: f64, max_chi2: f64) -> f64 {
+    if chi2 <= control / (control + 1.0) * max_chi2 {
         1.0
-    } else if (control + 1.0) / control * MAX_CHI2 <= chi2 {
+    } else if (control + 1.0) / control * max_chi2 <= chi2 {
         0.0
     } else {
-        ((MAX_CHI2 * control * (control + 1.0) / chi2).sqrt() - control).clamp(0.0, 1.0)
+        ((max_chi2 * control * (control + 1.0) / chi2).sqrt() - control).clamp(0.0, 1.0)
     }
 }
