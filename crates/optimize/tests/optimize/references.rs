@@ -238,10 +238,12 @@ fn references_that_contradict_the_map_are_explained() {
         .collect();
     let late = made.contradiction(&late);
     assert_eq!(late.cause, Cause::Delayed(-20.0), "{late:?}");
-    // Another log: the references are in the opposite order.
+    // Another log: three circles.
     let mut other = fixes.clone();
-    let positions: Vec<Pose2> = fixes.iter().rev().map(|fix| fix.measured).collect();
-    other.iter_mut().zip(positions).for_each(|(fix, position)| fix.measured = position);
+    for (k, fix) in other.iter_mut().enumerate() {
+        let (sin, cos) = (k as f64 / 8.0).sin_cos();
+        fix.measured = pose(16.0 * cos, 16.0 * sin, 0.0);
+    }
     let other = made.contradiction(&other);
     assert_eq!(other.cause, Cause::Unknown, "{other:?}");
     assert!(10.0 < other.median_m, "{other:?}");
