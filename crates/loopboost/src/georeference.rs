@@ -7,8 +7,8 @@ use ingest::Origin;
 use model::Detector;
 use nalgebra::{Matrix2, Matrix3, Vector2};
 use optimize::{
-    Cause, Closure, Contradiction, Edge, Placed, Placement, Reference, ReferencedMap, Residual, Site,
-    place_by_references,
+    Cause, Closure, Contradiction, Edge, Placed, Placement, Reference, ReferencedMap, Residual,
+    Site, place_by_references,
 };
 use register::Drive;
 
@@ -215,7 +215,8 @@ impl Georeference<'_> {
             let agreement = Agreement::of(&residuals);
             // Others place the map.
             if agreement.n_used <= agreement.n_outliers && 1 < residuals.len() {
-                let references: Vec<Reference> = of_source.iter().map(|(r, _)| r.reference).collect();
+                let references: Vec<Reference> =
+                    of_source.iter().map(|(r, _)| r.reference).collect();
                 made.notes.push(Note::new(outvoted(&references, &residuals), subject));
                 continue;
             }
@@ -244,7 +245,8 @@ impl Agreement {
     fn of(residuals: &[Residual]) -> Self {
         let used: Vec<&Residual> = residuals.iter().filter(|residual| residual.is_kept).collect();
         let n = used.len().max(1) as f64;
-        let mean = |value: &dyn Fn(&Residual) -> f64| used.iter().map(|r| value(r)).sum::<f64>() / n;
+        let mean =
+            |value: &dyn Fn(&Residual) -> f64| used.iter().map(|r| value(r)).sum::<f64>() / n;
         Self {
             n_used: used.len() as u64,
             n_outliers: (residuals.len() - used.len()) as u64,
@@ -326,7 +328,8 @@ impl Georeferenced {
             heading_std_deg: self.heading_std_rad.to_degrees(),
         })];
         if 1 < self.parts.len() {
-            let joined = |part: &Vec<usize>| logs_of(part).into_iter().collect::<Vec<_>>().join(", ");
+            let joined =
+                |part: &Vec<usize>| logs_of(part).into_iter().collect::<Vec<_>>().join(", ");
             let parts: Vec<String> = self.parts.iter().map(joined).collect();
             let parts = parts.join(" | ");
             notes.push(NoteKind::MapsLinkedByReferences { site: of_site, map, parts }.into());

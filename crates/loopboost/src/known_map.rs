@@ -34,8 +34,7 @@ impl KnownMap {
     pub(crate) fn read(run: &Run) -> Result<Option<Self>> {
         let runs = MapRun::known(run)?;
         let Some(first) = runs.first() else { return Ok(None) };
-        let (_, Provenance { notes, .. }) =
-            read_trajectory(&first.path(Artifact::Trajectory, ""))?;
+        let (_, Provenance { notes, .. }) = read_trajectory(&first.path(Artifact::Trajectory, ""))?;
         let mut known = Self {
             drives: Vec::new(),
             poses: Vec::new(),

@@ -53,7 +53,11 @@ impl ReferenceOptions {
             (found, _) => {
                 return Err(anyhow!(
                     "an entry of `optimize.references` sets {}, expected one of `topic` and `file`",
-                    if found.is_some() { "both `topic` and `file`" } else { "neither `topic` nor `file`" }
+                    if found.is_some() {
+                        "both `topic` and `file`"
+                    } else {
+                        "neither `topic` nor `file`"
+                    }
                 ));
             }
         }

@@ -88,8 +88,7 @@ impl SiteReferences {
     /// Reads the references of the logs of a site.
     pub(crate) fn read(run: &Run, site: &SiteDrives) -> Result<Self> {
         let options = &run.config.optimize.references;
-        let mut read =
-            Self { of_drives: vec![Vec::new(); site.drives.len()], ..Self::default() };
+        let mut read = Self { of_drives: vec![Vec::new(); site.drives.len()], ..Self::default() };
         let mut of_logs = Vec::new();
         for log in &site.logs {
             for (source, options) in options.iter().enumerate() {
@@ -135,7 +134,8 @@ impl SiteReferences {
             }
             Err(error) => return Err(error.into()),
         };
-        let ReferenceMessages { fixes, poses, lidar_from_point, is_point_known, losses, notes } = read;
+        let ReferenceMessages { fixes, poses, lidar_from_point, is_point_known, losses, notes } =
+            read;
         self.losses.merge(losses.in_log(&log.name));
         self.notes.extend(notes.into_iter().map(|note| {
             let subject = note.subject.in_log(&*log.name);
@@ -289,7 +289,8 @@ fn origin(run: &Run, site: &SiteDrives, of_logs: &[OfLog<'_>]) -> Result<Option<
         )));
     }
     let of_fix = |fix: &Fix| {
-        let altitude_m = if fix.position.altitude_m.is_finite() { fix.position.altitude_m } else { 0.0 };
+        let altitude_m =
+            if fix.position.altitude_m.is_finite() { fix.position.altitude_m } else { 0.0 };
         Origin { altitude_m, ..fix.position }
     };
     Ok(set.or(known).or(first.map(of_fix)))
@@ -309,11 +310,7 @@ fn of_fix(fix: &Fix, origin: &Origin, options: &ReferenceOptions) -> Measured {
     }
 }
 
-fn of_poses(
-    poses: &[StampedPose],
-    options: &ReferenceOptions,
-    log: &str,
-) -> Result<Vec<Measured>> {
+fn of_poses(poses: &[StampedPose], options: &ReferenceOptions, log: &str) -> Result<Vec<Measured>> {
     let of_pose = |pose: &StampedPose| {
         let stated = pose.covariance.filter(|covariance| is_covariance(covariance));
         let covariance = of_stds(stated, options.std_m, options.std_deg.map(f64::to_radians))
@@ -346,11 +343,7 @@ fn of_row(row: &Surveyed, options: &ReferenceOptions, file: &str) -> Result<Meas
 
 /// The covariance from the stated one and the standard deviations that replace it, for a pose that is still missing.
 /// `None` if that of the position is not known.
-fn of_stds(
-    stated: Option<[f64; 6]>,
-    std_m: Option<f64>,
-    std_rad: Option<f64>,
-) -> Option<Measured> {
+fn of_stds(stated: Option<[f64; 6]>, std_m: Option<f64>, std_rad: Option<f64>) -> Option<Measured> {
     let [mut xx, mut xy, mut xh, mut yy, mut yh, mut hh] = stated.unwrap_or_default();
     if let Some(std_m) = std_m {
         [xx, xy, xh, yy, yh] = [std_m * std_m, 0.0, 0.0, std_m * std_m, 0.0];
@@ -406,7 +399,8 @@ fn outside(site: &SiteDrives, log: &LogFile, stamps_ns: &[i64]) -> String {
         drives.filter(|drive| drive.log() == Some(&log.name)).flat_map(|drive| &drive.rows)
     };
     let [first, last] = [rows().next(), rows().last()].map(|row| row.map_or(0, |r| r.stamp_ns));
-    let [from, to] = [stamps_ns.first(), stamps_ns.last()].map(|ns| ns.copied().unwrap_or_default());
+    let [from, to] =
+        [stamps_ns.first(), stamps_ns.last()].map(|ns| ns.copied().unwrap_or_default());
     format!(
         "none of the {} references is within the time of the scans: the references are from {:.3} to {:.3} s, the scans from {:.3} to {:.3} s; check the clocks and that the references are of this log",
         stamps_ns.len(),

@@ -168,7 +168,9 @@ impl fmt::Display for Summary {
                 f,
                 "{log}: {n_accepted} closures accepted, {n_rejected} rejected; {n_poses} poses"
             ),
-            Self::Referenced { log, source, n_used, n_outliers, mean_m, rms_m, largest_m, .. } => {
+            Self::Referenced {
+                log, source, n_used, n_outliers, mean_m, rms_m, largest_m, ..
+            } => {
                 write!(
                     f,
                     "{log}: {n_used} references of {source} agree with the map within {largest_m:.2} m (mean {mean_m:.2} m, root mean square {rms_m:.2} m), {n_outliers} outliers"

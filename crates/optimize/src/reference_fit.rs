@@ -95,7 +95,8 @@ impl Fitted<'_> {
         let matches = self.matches();
         let free = fit(&matches, false);
         let at_rest = Fit { map_from_before: Pose2::default(), scale: 1.0, ..free };
-        let plain = if stays { Fit { median: at_rest.median_of(&matches), ..at_rest } } else { free };
+        let plain =
+            if stays { Fit { median: at_rest.median_of(&matches), ..at_rest } } else { free };
         let cause = self.cause(&matches, &plain, &free, stays);
         let mut distances: Vec<f64> = matches.iter().map(|m| plain.distance_m(m)).collect();
         let mut stds: Vec<f64> = matches.iter().map(|m| m.std_m).collect();
@@ -128,7 +129,8 @@ impl Fitted<'_> {
             }
         }
         let best = explained.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((_, cause)) = best.filter(|(median, _)| *median < EXPLAINED_SHARE * free.median) {
+        if let Some((_, cause)) = best.filter(|(median, _)| *median < EXPLAINED_SHARE * free.median)
+        {
             return cause;
         }
         let mut distances: Vec<f64> = matches.iter().map(|m| plain.distance_m(m)).collect();
@@ -146,13 +148,15 @@ impl Fitted<'_> {
     /// out.
     fn delayed(&self, delay_secs: f64) -> Vec<Match> {
         let at = |reference: &Reference| {
-            let of_drive = self.drive.parts().into_iter().nth(self.drive.part_of(reference.scan))?;
+            let of_drive =
+                self.drive.parts().into_iter().nth(self.drive.part_of(reference.scan))?;
             let stamps_ns = &self.stamps_ns[of_drive.clone()];
             let stamp_ns = reference.stamp_ns + (delay_secs * 1e9) as i64;
             let after = stamps_ns.partition_point(|&other| other <= stamp_ns);
-            let (last, next) = (after.checked_sub(1)?, Some(after).filter(|&k| k < stamps_ns.len())?);
-            let share = (stamp_ns - stamps_ns[last]) as f64
-                / (stamps_ns[next] - stamps_ns[last]) as f64;
+            let (last, next) =
+                (after.checked_sub(1)?, Some(after).filter(|&k| k < stamps_ns.len())?);
+            let share =
+                (stamp_ns - stamps_ns[last]) as f64 / (stamps_ns[next] - stamps_ns[last]) as f64;
             let [from, to] = [last, next].map(|k| self.poses[of_drive.start + k]);
             // The way since the scan is left out.
             Some(Match::new(reference, from.towards(&to, share)))
@@ -193,8 +197,10 @@ impl Fit {
 fn fit(matches: &[Match], is_scaled: bool) -> Fit {
     let some = spread(matches, N_HYPOTHESES);
     let judged = spread(matches, N_JUDGED);
-    let of_poses = some.iter().filter(|m| m.has_heading).map(|m| (m.measured * m.at.inverse(), 1.0));
-    let pairs = some.iter().enumerate().flat_map(|(k, a)| some[k + 1..].iter().map(move |b| (a, b)));
+    let of_poses =
+        some.iter().filter(|m| m.has_heading).map(|m| (m.measured * m.at.inverse(), 1.0));
+    let pairs =
+        some.iter().enumerate().flat_map(|(k, a)| some[k + 1..].iter().map(move |b| (a, b)));
     let of_pairs = pairs.filter_map(|(a, b)| of_pair(a, b, is_scaled));
     let at_rest = Fit { map_from_before: Pose2::default(), scale: 1.0, median: f64::INFINITY };
     of_poses.chain(of_pairs).fold(at_rest, |best, (map_from_before, scale)| {

@@ -142,16 +142,21 @@ pub fn place_by_references(
     variances.sort_by(f64::total_cmp);
     let single_std_m = scatter * variances[variances.len() / 2].sqrt();
     let covariances = map.covariances(&poses, references, &is_kept, scatter, detector);
-    Placement::Placed(Placed { poses, covariances, residuals, scatter, heading_std_rad, single_std_m })
+    Placement::Placed(Placed {
+        poses,
+        covariances,
+        residuals,
+        scatter,
+        heading_std_rad,
+        single_std_m,
+    })
 }
 
 /// The factor of the stated standard deviations that explains the median error.
 fn scatter(references: &[Reference], poses: &[Pose2]) -> f64 {
     let mut ratios: Vec<f64> = references
         .iter()
-        .map(|reference| {
-            reference.chi2(poses) / MEDIAN_CHI2[usize::from(reference.has_heading)]
-        })
+        .map(|reference| reference.chi2(poses) / MEDIAN_CHI2[usize::from(reference.has_heading)])
         .collect();
     ratios.sort_by(f64::total_cmp);
     ratios.get(ratios.len() / 2).map_or(1.0, |ratio| ratio.sqrt())

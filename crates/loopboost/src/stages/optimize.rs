@@ -20,8 +20,8 @@ use register::{Drive, OdometryScan};
 use train::detector::{alignment_covariance, closure_covariance};
 
 use crate::drives::{
-    PosedScan, RegisteredDrive, by_id, closure_row, evidence, matrix, posed_scans, registration_limits, scans_of,
-    upper_triangle,
+    PosedScan, RegisteredDrive, by_id, closure_row, evidence, matrix, posed_scans,
+    registration_limits, scans_of, upper_triangle,
 };
 use crate::findings::Findings;
 use crate::georeference::{Far, Georeference, Georeferenced};

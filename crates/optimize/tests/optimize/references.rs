@@ -263,7 +263,8 @@ fn two_positions_or_one_pose_decide() {
     assert!(made.worst_m(&two.poses) < 0.3, "{}", made.worst_m(&two.poses));
     let known = made.truth[200];
     let covariance = Matrix3::from_diagonal(&nalgebra::Vector3::new(0.01, 0.01, 1e-4));
-    let surveyed = Reference { scan: 200, measured: known, has_heading: true, covariance, ..fixes[0] };
+    let surveyed =
+        Reference { scan: 200, measured: known, has_heading: true, covariance, ..fixes[0] };
     let one = made.placed(&[surveyed]);
     assert!(one.poses[200].distance_m(&known) < 1e-6);
     assert!((one.covariances[200] - covariance).amax() < 1e-6, "{}", one.covariances[200]);
