@@ -2,7 +2,7 @@
 //! measure on the robot.
 
 use dataset::{Losses, Note, Pose2, StampedPose};
-use messages::{NavSatFix, read_frame_ids};
+use messages::{MessageType, NavSatFix, read_frame_ids};
 use nalgebra::Isometry3;
 use rayon::prelude::*;
 
@@ -66,6 +66,8 @@ pub struct ReferenceMessages {
 
 /// The topics that the place of an antenna is looked up in.
 const FRAME_TOPICS: [&str; 2] = ["/tf_static", "/tf"];
+/// The pieces of a log that are searched for the frame of the lidar.
+const N_FIRST_PIECES: usize = 3;
 
 impl Fix {
     /// The position in a frame with x east and y north of an origin.
@@ -111,9 +113,12 @@ fn read(
     let topic = drive.topic(&reference.topic, "optimize.references.topic", &POSE_TYPES)?;
     let lidar = drive.topic(&lidar_options.topic, "ingest.lidar.topic", &LIDAR_TYPES)?;
     let lidar_frame = first_frame_id(&drive, &lidar);
+    let is_looked_up = reference.mount.is_none()
+        && topic.any(|source| source.message_type == MessageType::NavSatFix);
     // A log may have none of them.
     let frames: Vec<Topic> = FRAME_TOPICS
         .iter()
+        .filter(|_| is_looked_up)
         .filter_map(|name| drive.topic(name, "ingest.pose.frames.topics", &FRAME_TYPES).ok())
         .collect();
     let options = Options {
@@ -190,7 +195,8 @@ fn in_plane(lidar_from_point: &Isometry3<f64>, upside_down: bool) -> Pose2 {
 fn first_frame_id(drive: &Drive<'_>, topic: &Topic) -> Option<String> {
     let mut buffer = Buffer::default();
     let mut first: Option<String> = None;
-    for FilePiece { file, log, piece, .. } in drive.pieces_with(&[topic]) {
+    let pieces = drive.pieces_with(&[topic]);
+    for FilePiece { file, log, piece, .. } in pieces.into_iter().take(N_FIRST_PIECES) {
         // Losses are counted when the scans are read.
         chunk::messages(log.bytes(), piece, &mut buffer, |header, data| {
             if first.is_none()
