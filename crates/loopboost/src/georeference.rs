@@ -313,7 +313,7 @@ impl Georeferenced {
     /// Remarks about the map in the frame of the references. `numbers` are those of the maps of all drives.
     pub(crate) fn notes_of_map(&self, site: &SiteDrives, numbers: &[u32]) -> Vec<Note> {
         let logs_of = |part: &[usize]| -> BTreeSet<String> {
-            part.iter().filter_map(|&k| site.drives[k].log()).map(|log| log.to_string()).collect()
+            part.iter().filter_map(|&k| site.drives[k].log()).map(ToString::to_string).collect()
         };
         let Some(first) = self.parts.first() else { return Vec::new() };
         let (map, of_site) = (numbers[first[0]], site.site.clone());

@@ -312,7 +312,7 @@ fn of_fix(fix: &Fix, origin: &Origin, options: &ReferenceOptions) -> Measured {
 
 fn of_poses(poses: &[StampedPose], options: &ReferenceOptions, log: &str) -> Result<Vec<Measured>> {
     let of_pose = |pose: &StampedPose| {
-        let stated = pose.covariance.filter(|covariance| is_covariance(covariance));
+        let stated = pose.covariance.filter(is_covariance);
         let covariance = of_stds(stated, options.std_m, options.std_deg.map(f64::to_radians))
             .with_context(|| {
                 format!(
