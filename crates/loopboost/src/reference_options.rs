@@ -24,16 +24,15 @@ pub(crate) struct ReferenceOptions {
     pub(crate) frame_id: Option<String>,
     /// The time of a message that is used: `header` or `log`.
     pub(crate) stamp: Stamp,
-    /// Standard deviation of a position in each direction \[m\], instead of the one that messages state. Needed for
-    /// poses without a covariance. For fixes without a covariance, the default is 3.3 m.
+    /// Standard deviation of a position in each direction \[m\], instead of the one that messages state, and for rows
+    /// of a file that state none. Needed for poses without one. For fixes without one, the default is 3.3 m.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) std_m: Option<f64>,
-    /// Standard deviation of a heading \[deg\], instead of the one that messages state. Headings of poses
-    /// without a standard deviation are not used.
+    /// The same for the heading \[deg\]. Headings without a standard deviation are not used.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) std_deg: Option<f64>,
-    /// Time over which errors are correlated \[s\]. Measurements within this time count as about two
-    /// independent ones. The default is 60 s for a topic, and 0 for a file.
+    /// Time over which errors are correlated \[s\]. The measurements of twice this time count as about one. The
+    /// default is 60 s for a topic, and 0 for a file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) correlation_secs: Option<f64>,
     /// The measured point on the robot: the antenna. Without it, the transforms of the log give the place of the
