@@ -244,7 +244,7 @@ fn note(workplace: &Workplace, out: &str, code: &str) -> serde_json::Value {
 #[test]
 fn references_place_maps_and_tell_equal_places_apart() {
     let workplace = two_days();
-    let both = pipeline(&["day-1", "day-2"], "[detect]\n");
+    let both = pipeline(&["day-1", "day-2"], "[detect]\n[optimize]\nevery_scan = false\n");
     fs::write(workplace.path("drive.toml"), both).unwrap();
     let run = |command: &str, references: &str| {
         let references = format!("optimize.references={references}");
@@ -340,7 +340,7 @@ fn check_surveyed(workplace: &Workplace) {
 #[test]
 fn a_drive_added_to_a_map_is_in_its_frame() {
     let workplace = two_days();
-    let references = "[optimize]\nreferences = [{ topic = \"/gps/fix\" }]\n";
+    let references = "[optimize]\nevery_scan = false\nreferences = [{ topic = \"/gps/fix\" }]\n";
     let write = |name: &str, log: &str, more: &str| {
         fs::write(workplace.path(name), pipeline(&[log], &format!("{more}{references}"))).unwrap();
     };
