@@ -423,3 +423,60 @@ fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn located(x_m: f64, common_m2: f64) -> Located {
+        let poses = vec![Pose2 { x_m, y_m: 0.0, heading_rad: 0.0 }];
+        Located { poses, covariances: vec![Matrix3::identity()], common_m2 }
+    }
+
+    fn closure() -> ScanClosure {
+        let id = |log: &str| ScanId { log: log.into(), scan: 0 };
+        ScanClosure {
+            query: id("b"),
+            reference: id("a"),
+            reference_from_query: Pose2 { x_m: 1.0, y_m: 0.0, heading_rad: 0.0 },
+            covariance: [0.0; 6],
+            confidence: 0.9,
+            overlap: 0.5,
+            known_overlap: 0.5,
+            n_known: 100,
+            conflict: 0.0,
+            margin: 0.1,
+            weakness: 0.5,
+            classifier: None,
+            is_degenerate: false,
+        }
+    }
+
+    /// Variances of 1 m^2 each, and 1 m^2 of each drive: 4 m^2 in total, so that the limit is
+    /// sqrt(18.42 * 4) = 8.58 m. The closure says that the query is 1 m in front of the reference.
+    #[test]
+    fn places_are_far_beyond_all_their_errors() {
+        let far = |x_m: f64, [a_m2, b_m2]: [f64; 2]| {
+            distance_if_far(&closure(), (0, &located(0.0, a_m2)), (0, &located(x_m, b_m2)))
+        };
+        assert_eq!(far(9.5, [1.0, 1.0]), None);
+        assert!((far(9.7, [1.0, 1.0]).unwrap() - 8.7).abs() < 1e-12);
+        // A known drive has the errors of the other one.
+        assert_eq!(far(9.5, [0.0, 1.0]), None);
+        assert!(far(9.7, [0.0, 1.0]).is_some());
+        assert!(far(-6.0, [0.0, 0.0]).is_some(), "sqrt(18.42 * 2) = 6.07 m, found 7 m");
+        assert_eq!(far(1.0, [0.0, 0.0]), None);
+    }
+
+    #[test]
+    fn agreement_is_that_of_the_references_that_are_kept() {
+        let residual =
+            |is_kept: bool, distance_m: f64| Residual { is_kept, distance_m, n_stds: 1.0 };
+        let found =
+            Agreement::of(&[residual(true, 3.0), residual(false, 50.0), residual(true, 4.0)]);
+        assert_eq!((found.n_used, found.n_outliers), (2, 1));
+        assert_eq!((found.mean_m, found.largest_m, found.rms_stds), (3.5, 4.0, 1.0));
+        assert!((found.rms_m - 12.5f64.sqrt()).abs() < 1e-12);
+        assert_eq!(Agreement::of(&[]).mean_m, 0.0);
+    }
+}

@@ -410,3 +410,34 @@ fn outside(site: &SiteDrives, log: &LogFile, stamps_ns: &[i64]) -> String {
         secs(last)
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 0.01 m is added to the standard deviation of a position.
+    #[test]
+    fn stated_errors_are_replaced_by_those_of_the_options() {
+        let stated = Some([0.25, 0.1, 0.01, 0.36, 0.02, 0.04]);
+        let kept = of_stds(stated, None, None).unwrap();
+        assert!(kept.has_heading);
+        assert!((kept.covariance[(0, 0)] - 0.2501).abs() < 1e-12);
+        assert_eq!((kept.covariance[(0, 1)], kept.covariance[(2, 2)]), (0.1, 0.04));
+        let replaced = of_stds(stated, Some(2.0), None).unwrap();
+        assert!((replaced.covariance[(1, 1)] - 4.0001).abs() < 1e-12);
+        assert_eq!((replaced.covariance[(0, 1)], replaced.covariance[(0, 2)]), (0.0, 0.0));
+        assert_eq!(of_stds(None, Some(2.0), None).map(|found| found.has_heading), Some(false));
+        assert_eq!(of_stds(None, Some(2.0), Some(0.1)).map(|found| found.has_heading), Some(true));
+        // A heading that can be anything is not known, and a position without a standard deviation is not used.
+        let vague = Some([0.25, 0.0, 0.0, 0.25, 0.0, 9.9]);
+        assert_eq!(of_stds(vague, None, None).map(|found| found.has_heading), Some(false));
+        assert!(of_stds(None, None, Some(0.1)).is_none());
+    }
+
+    #[test]
+    fn zeros_are_not_a_covariance() {
+        assert!(!is_covariance(&[0.0; 6]));
+        assert!(is_covariance(&[0.25, 0.1, 0.01, 0.36, 0.02, 0.04]));
+        assert!(!is_covariance(&[0.25, 0.5, 0.0, 0.25, 0.0, 0.04]));
+    }
+}
