@@ -2,7 +2,7 @@
 
 use dataset::Pose2;
 
-use crate::graph::{Edge, Solver};
+use crate::graph::{Edge, Solver, optimize};
 
 /// A closure whose squared error is above this value is rejected: the 99 % quantile of the chi-square
 /// distribution with 3 degrees of freedom.
@@ -50,24 +50,22 @@ pub(crate) fn reject_outliers(
     start: &[Pose2],
 ) -> Robust {
     let Doubtful { edges: doubted, shares, max_chi2 } = doubtful;
-    let edges: Vec<Edge> = trusted.iter().chain(*doubted).copied().collect();
-    let mut solver = Solver::new(start.len(), &edges);
-    let mut weights = vec![1.0; edges.len()];
-    weights[trusted.len()..].copy_from_slice(shares);
+    let mut kept = vec![1.0; doubted.len()];
+    let weights =
+        |kept: &[f64]| -> Vec<f64> { kept.iter().zip(shares).map(|(k, s)| k * s).collect() };
+    let mut graph = Graduated::new(trusted, doubted, start.len());
     let mut poses = start.to_vec();
-    solver.optimize(&weights, &mut poses);
+    graph.optimize(&weights(&kept), &mut poses);
     let chi2_of = |poses: &[Pose2]| -> Vec<f64> { doubted.iter().map(|c| c.chi2(poses)).collect() };
     let mut chi2 = chi2_of(&poses);
-    let mut kept = vec![1.0; doubted.len()];
     let worst = chi2.iter().zip(max_chi2).max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
     if let Some((largest, max)) = worst.filter(|(chi2, max)| max < chi2) {
         let mut control = max / (2.0 * largest - max);
         for _ in 0..MAX_ROUNDS {
             for (k, weight) in kept.iter_mut().enumerate() {
                 *weight = truncated_weight(chi2[k], control, max_chi2[k]);
-                weights[trusted.len() + k] = *weight * shares[k];
             }
-            solver.optimize(&weights, &mut poses);
+            graph.optimize(&weights(&kept), &mut poses);
             chi2 = chi2_of(&poses);
             if kept.iter().all(|&w| w == 0.0 || w == 1.0) {
                 break;
@@ -76,12 +74,51 @@ pub(crate) fn reject_outliers(
         }
     }
     let is_kept: Vec<bool> = kept.iter().map(|&weight| weight > 0.5).collect();
-    for (k, &is_kept) in is_kept.iter().enumerate() {
-        weights[trusted.len() + k] = if is_kept { shares[k] } else { 0.0 };
+    let weighted = doubted.iter().zip(shares).zip(&is_kept).filter(|(_, kept)| **kept);
+    let weighted =
+        weighted.map(|((edge, share), _)| Edge { information: edge.information * *share, ..*edge });
+    let edges: Vec<Edge> = trusted.iter().copied().chain(weighted).collect();
+    Robust { poses: optimize(&edges, start), is_kept }
+}
+
+/// The graph of the closures that have a weight.
+struct Graduated<'a> {
+    odometry: &'a [Edge],
+    closures: &'a [Edge],
+    /// The closures in the graph, ascending.
+    members: Vec<usize>,
+    solver: Solver,
+}
+
+/// Closures without weight make each step slower. They are taken out when they are this share of all.
+const MAX_IDLE_SHARE: f64 = 0.1;
+/// A step that reduces the cost by a smaller share is the last one of a round.
+const CONVERGED: f64 = 1e-4;
+
+impl<'a> Graduated<'a> {
+    fn new(odometry: &'a [Edge], closures: &'a [Edge], n_poses: usize) -> Self {
+        let members: Vec<usize> = (0..closures.len()).collect();
+        let edges = odometry.iter().chain(closures).copied().collect();
+        Self { odometry, closures, members, solver: Solver::new(n_poses, edges) }
     }
-    let mut poses = start.to_vec();
-    solver.optimize(&weights, &mut poses);
-    Robust { poses, is_kept }
+
+    /// Optimizes the poses with these weights of the closures.
+    fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2]) {
+        let with_weight: Vec<usize> = (0..weights.len()).filter(|&k| 0.0 < weights[k]).collect();
+        let is_member = |k: &usize| self.members.binary_search(k).is_ok();
+        let n_idle = self.members.len().saturating_sub(with_weight.len());
+        if MAX_IDLE_SHARE * (self.members.len() as f64) < n_idle as f64
+            || !with_weight.iter().all(is_member)
+        {
+            let closures = with_weight.iter().map(|&k| &self.closures[k]);
+            let edges = self.odometry.iter().chain(closures).copied().collect();
+            self.solver = Solver::new(poses.len(), edges);
+            self.members = with_weight;
+        }
+        let mut of_edges = vec![1.0; self.odometry.len()];
+        of_edges.extend(self.members.iter().map(|&k| weights[k]));
+        self.solver.optimize(&of_edges, poses, CONVERGED);
+    }
 }
 
 /// The weight of a closure at a control parameter mu, with c^2 = `max_chi2`: 1 below

@@ -61,8 +61,8 @@ const FIRST_DAMPING: f64 = 1e-6;
 const MAX_DAMPING: f64 = 1e6;
 
 /// Edges between poses, with the structure of their normal equations.
-pub(crate) struct Solver<'a> {
-    edges: &'a [Edge],
+pub(crate) struct Solver {
+    edges: Vec<Edge>,
     /// The first pose of each connected part, which stays where it is.
     anchors: Vec<usize>,
     system: BlockSystem,
@@ -73,10 +73,10 @@ pub(crate) fn cost(edges: &[Edge], weights: &[f64], poses: &[Pose2]) -> f64 {
     edges.iter().zip(weights).filter(|(_, w)| **w > 0.0).map(|(e, w)| w * e.chi2(poses)).sum()
 }
 
-impl<'a> Solver<'a> {
+impl Solver {
     /// Prepares the optimization of `n_poses` poses.
-    pub(crate) fn new(n_poses: usize, edges: &'a [Edge]) -> Self {
-        let anchors = first_of_parts(n_poses, edges);
+    pub(crate) fn new(n_poses: usize, edges: Vec<Edge>) -> Self {
+        let anchors = first_of_parts(n_poses, &edges);
         let system = BlockSystem::new(n_poses, edges.iter().map(|edge| (edge.a, edge.b)));
         Self { edges, anchors, system }
     }
@@ -100,9 +100,10 @@ impl<'a> Solver<'a> {
         }
     }
 
-    /// Reduces the weighted cost with the method of Levenberg and Marquardt. Returns the final cost.
-    pub(crate) fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2]) -> f64 {
-        let mut before = cost(self.edges, weights, poses);
+    /// Reduces the weighted cost with the method of Levenberg and Marquardt. A step that reduces it by a smaller
+    /// share than `converged` is the last one.
+    pub(crate) fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2], converged: f64) {
+        let mut before = cost(&self.edges, weights, poses);
         let mut damping = FIRST_DAMPING;
         for _ in 0..MAX_STEPS {
             self.linearize(weights, poses);
@@ -110,7 +111,7 @@ impl<'a> Solver<'a> {
             while damping < MAX_DAMPING {
                 if let Some(step) = self.system.solve(damping) {
                     let moved: Vec<Pose2> = poses.iter().zip(&step).map(apply).collect();
-                    let after = cost(self.edges, weights, &moved);
+                    let after = cost(&self.edges, weights, &moved);
                     if after <= before {
                         poses.copy_from_slice(&moved);
                         gained = Some(before - after);
@@ -122,11 +123,10 @@ impl<'a> Solver<'a> {
                 damping *= 10.0;
             }
             match gained {
-                Some(gain) if CONVERGED * (before + 1e-12) < gain => {}
+                Some(gain) if converged * (before + 1e-12) < gain => {}
                 _ => break,
             }
         }
-        before
     }
 
     /// Covariances of all poses relative to the fixed pose of their part, in the frame of the map.
@@ -169,12 +169,13 @@ fn first_of_parts(n_poses: usize, edges: &[Edge]) -> Vec<usize> {
 /// The poses that agree best with all edges, from a start.
 pub fn optimize(edges: &[Edge], start: &[Pose2]) -> Vec<Pose2> {
     let mut poses = start.to_vec();
-    Solver::new(start.len(), edges).optimize(&vec![1.0; edges.len()], &mut poses);
+    let mut solver = Solver::new(start.len(), edges.to_vec());
+    solver.optimize(&vec![1.0; edges.len()], &mut poses, CONVERGED);
     poses
 }
 
 /// Covariances of x, y and heading of all poses, relative to the first pose of their part of the graph,
 /// in the frame of the map. `None` if the edges do not determine the poses.
 pub fn covariances(edges: &[Edge], poses: &[Pose2]) -> Option<Vec<Matrix3<f64>>> {
-    Solver::new(poses.len(), edges).covariances(&vec![1.0; edges.len()], poses)
+    Solver::new(poses.len(), edges.to_vec()).covariances(&vec![1.0; edges.len()], poses)
 }

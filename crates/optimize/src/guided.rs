@@ -1,5 +1,7 @@
 //! Comparison of places that the optimized poses predict to be the same.
 
+use std::collections::BTreeMap;
+
 use dataset::Pose2;
 use model::ClosureNoise;
 use nalgebra::Matrix3;
@@ -23,14 +25,23 @@ const PREFERENCE: f64 = 0.05;
 /// More starts, relative to the prediction: x \[m\], y \[m\], heading \[rad\].
 const MORE_STARTS: [[f64; 3]; 4] =
     [[0.35, 0.0, 0.06], [-0.35, 0.0, -0.06], [0.0, 0.35, -0.06], [0.0, -0.35, 0.06]];
+/// The most iterations of an alignment, and those after which most starts are near the best pose.
+const ITERATIONS: u32 = 20;
+const FIRST_ITERATIONS: u32 = 8;
 /// The most starts that may lead to a rival: one of six.
 const MAX_RIVALS: usize = 1;
 /// Another pose is a rival of the best one if its known overlap minus conflict is less by at most this. The value
 /// is a guess.
 const RIVAL: f64 = 0.1;
+/// The least number of known points of a pair that the scans confirm.
+const MIN_POINTS: usize = 60;
 /// Two starts lead to the same pose if the results are closer than this.
 const SAME_M: f64 = 0.1;
 const SAME_DEG: f64 = 1.0;
+
+/// A pair is not compared again for predictions closer than this.
+const REUSE_M: f64 = 0.02;
+const REUSE_DEG: f64 = 0.2;
 
 /// Pairs that are compared at once. Their places are in memory.
 const PAIRS_AT_ONCE: usize = 64;
@@ -43,6 +54,8 @@ pub(crate) struct Prediction {
     /// Index of the later place.
     pub(crate) query: usize,
     pub(crate) reference_from_query: Pose2,
+    /// Whether the graph knows their relative position well enough to be wrong if the scans do not confirm it.
+    pub(crate) is_certain: bool,
 }
 
 /// Two compared places.
@@ -51,6 +64,11 @@ pub(crate) struct Compared {
     pub(crate) reference: usize,
     pub(crate) query: usize,
     pub(crate) fit: Fit,
+    /// Whether the scans of both places have enough points to confirm anything.
+    has_points: bool,
+    /// Whether the map is wrong if the scans do not confirm this pair: the prediction is certain, and the places have
+    /// points.
+    pub(crate) counts: bool,
     /// Distance and angle between the predicted and the found relative pose.
     pub(crate) moved_m: f64,
     pub(crate) turned_rad: f64,
@@ -60,6 +78,20 @@ pub(crate) struct Compared {
 }
 
 impl Compared {
+    fn new(prediction: &Prediction, fit: Fit, has_points: bool, is_agreed: bool) -> Self {
+        let off = prediction.reference_from_query.inverse() * fit.a_from_b;
+        Self {
+            reference: prediction.reference,
+            query: prediction.query,
+            counts: prediction.is_certain && has_points,
+            has_points,
+            fit,
+            moved_m: length(&off),
+            turned_rad: off.heading_rad.abs(),
+            is_agreed,
+        }
+    }
+
     /// Whether the scans confirm the predicted pose.
     ///
     /// The limits were set with two recorded drives and held on others. See the share test in
@@ -71,7 +103,7 @@ impl Compared {
     /// Whether the found pose is near the predicted one, and the scans fit.
     fn is_plausible(&self) -> bool {
         0.3 < self.fit.known_overlap
-            && 60 <= self.fit.n_known
+            && MIN_POINTS <= self.fit.n_known
             && self.fit.known_conflict() < 0.35
             && self.moved_m < 0.35
             && self.turned_rad < 3f64.to_radians()
@@ -79,23 +111,24 @@ impl Compared {
     }
 }
 
-/// The pairs of places, of those for which `is_pair(reference, query)` holds, that are at most [`REACH_M`]
-/// apart by `poses`. With a limit, at most so many references per query, the nearest first, and at most one
-/// per piece of path.
+/// Called with a query and the places near it. Keeps the references that the query is compared with.
+pub(crate) type Retain<'a> = dyn Fn(usize, &mut Vec<usize>) + Sync + 'a;
+
+/// The pairs of places, of those that `retain` keeps, that are at most [`REACH_M`] apart by `poses`. With a
+/// limit, at most so many references per query, the nearest first, and at most one per piece of path.
 pub(crate) fn predictions(
     path_m: &[f64],
     poses: &[Pose2],
-    is_pair: &(dyn Fn(usize, usize) -> bool + Sync),
+    retain: &Retain<'_>,
     limit: Option<Limit>,
 ) -> Vec<Prediction> {
     let near_poses = NearPoses::new(poses, REACH_M);
     let of_query = |query: usize| {
-        let mut near: Vec<(f64, usize)> = near_poses
-            .around(&poses[query])
-            .filter(|&k| is_pair(k, query))
-            .map(|k| (poses[k].distance_m(&poses[query]), k))
-            .filter(|&(distance_m, _)| distance_m <= REACH_M)
-            .collect();
+        let distance_m = |k: usize| poses[k].distance_m(&poses[query]);
+        let mut near: Vec<usize> =
+            near_poses.around(&poses[query]).filter(|&k| distance_m(k) <= REACH_M).collect();
+        retain(query, &mut near);
+        let mut near: Vec<(f64, usize)> = near.into_iter().map(|k| (distance_m(k), k)).collect();
         near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
         if let Some(limit) = limit {
             let mut seen = Vec::new();
@@ -113,6 +146,7 @@ pub(crate) fn predictions(
                 reference,
                 query,
                 reference_from_query: poses[reference].inverse() * poses[query],
+                is_certain: true,
             })
             .collect::<Vec<_>>()
     };
@@ -125,6 +159,56 @@ pub(crate) struct Limit {
     pub(crate) most: usize,
     /// At most one reference per piece of path of this length \[m\].
     pub(crate) every_m: f64,
+}
+
+/// Comparisons of places, with what the last one of each pair found.
+pub(crate) struct Comparisons<'a> {
+    places: &'a Places<'a>,
+    /// By reference and query: the predicted relative pose, and the result.
+    last: BTreeMap<(usize, usize), (Pose2, Compared)>,
+}
+
+impl<'a> Comparisons<'a> {
+    pub(crate) fn new(places: &'a Places<'a>) -> Self {
+        Self { places, last: BTreeMap::new() }
+    }
+
+    /// Compares places around their predicted relative poses. The results have the order of the
+    /// predictions. A pair whose prediction is nearly that of its last comparison is not compared again.
+    pub(crate) fn compare(&mut self, predictions: &[Prediction]) -> Vec<Compared> {
+        let known: Vec<Option<Compared>> = predictions.iter().map(|p| self.known(p)).collect();
+        let is_new = |(p, known): (&Prediction, &Option<Compared>)| known.is_none().then_some(*p);
+        let new: Vec<Prediction> = predictions.iter().zip(&known).filter_map(is_new).collect();
+        let mut found = compare(self.places, &new).into_iter().zip(&new);
+        known
+            .into_iter()
+            .filter_map(|known| {
+                known.or_else(|| {
+                    let (compared, prediction) = found.next()?;
+                    let expected = prediction.reference_from_query;
+                    self.last.insert(prediction.pair(), (expected, compared));
+                    Some(compared)
+                })
+            })
+            .collect()
+    }
+
+    /// The result of the last comparison, for a prediction that is nearly the same.
+    fn known(&self, prediction: &Prediction) -> Option<Compared> {
+        let (before, compared) = self.last.get(&prediction.pair())?;
+        let expected = prediction.reference_from_query;
+        let off = before.inverse() * expected;
+        let is_same = length(&off) < REUSE_M && off.heading_rad.abs() < REUSE_DEG.to_radians();
+        let again =
+            Compared::new(prediction, compared.fit, compared.has_points, compared.is_agreed);
+        (is_same && again.is_plausible() == compared.is_plausible()).then_some(again)
+    }
+}
+
+impl Prediction {
+    fn pair(&self) -> (usize, usize) {
+        (self.reference, self.query)
+    }
 }
 
 /// Compares places around their predicted relative poses. The results have the order of the
@@ -149,36 +233,36 @@ fn compare_pair(a: &Place, b: &Place, prediction: &Prediction) -> Compared {
         step_rad: SEARCH_STEP_DEG.to_radians(),
     };
     let preference = Preference { pose: expected, per_m2: PREFERENCE, per_rad2: PREFERENCE };
-    let found = search(&a.walls, b.node.sample(), &window, &preference).pose;
-    let options = fit_options(0.5, 20);
-    let end = |start: &Pose2| {
+    let found = search(&a.walls, &b.few_points, &window, &preference).pose;
+    let aligned = |start: &Pose2, options: &AlignOptions| {
         let prior = Prior::none(*start);
-        align(b.node.sample(), a.node.target(), start, &prior, &options).target_from_source
+        align(b.node.sample(), a.node.target(), start, &prior, options).target_from_source
     };
-    let ends = [found, expected].map(|start| end(&start));
-    let [first, second] = ends.map(|end| fit(&a.node, &b.node, &end, &last_options()));
-    let best = if agreement(&first) < agreement(&second) { second } else { first };
-    let off = expected.inverse() * best.a_from_b;
-    let mut compared = Compared {
-        reference: prediction.reference,
-        query: prediction.query,
-        fit: best,
-        moved_m: length(&off),
-        turned_rad: off.heading_rad.abs(),
-        is_agreed: false,
-    };
+    let measured = |end: &Pose2| fit(&a.node, &b.node, end, &last_options());
+    let ends = [found, expected].map(|start| aligned(&start, &fit_options(0.5, ITERATIONS)));
+    let first = measured(&ends[0]);
+    let second = is_elsewhere(&first.a_from_b, &ends[1]).then(|| measured(&ends[1]));
+    let best = second.filter(|second| agreement(&first) < agreement(second)).unwrap_or(first);
+    let has_points = [a, b].iter().all(|place| MIN_POINTS <= place.node.sample().len());
+    let mut compared = Compared::new(prediction, best, has_points, false);
     if compared.is_plausible() {
+        let leads_to_rival =
+            |end: &Pose2| is_elsewhere(&best.a_from_b, end) && is_rival(&best, &measured(end));
         let more = MORE_STARTS.map(|[x, y, heading]| Pose2 {
             x_m: expected.x_m + x,
             y_m: expected.y_m + y,
             heading_rad: expected.heading_rad + heading,
         });
-        let leads_to_rival = |end: &Pose2| {
-            is_elsewhere(&best.a_from_b, end)
-                && is_rival(&best, &fit(&a.node, &b.node, end, &last_options()))
+        // Most of them come near the best pose soon.
+        let end_of = |start: &Pose2| {
+            let near = aligned(start, &fit_options(0.5, FIRST_ITERATIONS));
+            match is_elsewhere(&best.a_from_b, &near) {
+                true => aligned(&near, &fit_options(0.2, ITERATIONS - FIRST_ITERATIONS)),
+                false => near,
+            }
         };
         // Lazily: the starts after one rival too many are not tried.
-        let rivals = ends.into_iter().chain(more.iter().map(end)).filter(leads_to_rival);
+        let rivals = ends.into_iter().chain(more.iter().map(end_of)).filter(leads_to_rival);
         compared.is_agreed = rivals.take(MAX_RIVALS + 1).count() <= MAX_RIVALS;
     }
     compared
@@ -208,7 +292,7 @@ fn length(pose: &Pose2) -> f64 {
 /// Poses by square, for the search of near ones.
 pub(crate) struct NearPoses {
     size_m: f64,
-    by_square: std::collections::BTreeMap<(i64, i64), Vec<usize>>,
+    by_square: BTreeMap<(i64, i64), Vec<usize>>,
 }
 
 impl NearPoses {
@@ -219,7 +303,7 @@ impl NearPoses {
 
     /// The same for points.
     pub(crate) fn of_points(points: impl Iterator<Item = [f64; 2]>, size_m: f64) -> Self {
-        let mut squares = Self { size_m, by_square: std::collections::BTreeMap::new() };
+        let mut squares = Self { size_m, by_square: BTreeMap::new() };
         for (k, point) in points.enumerate() {
             squares.by_square.entry(squares.square(point)).or_default().push(k);
         }

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use dataset::Pose2;
 use model::Drift;
 use rayon::prelude::*;
-use register::{BlurredMap, Drive, Node, SubmapOptions};
+use register::{BlurredMap, Drive, Node, Points, SubmapOptions};
 
 use crate::graph::Edge;
 
@@ -21,7 +21,12 @@ const MAP_BLUR_M: f64 = 0.15;
 pub(crate) struct Place {
     pub(crate) node: Node,
     pub(crate) walls: BlurredMap,
+    /// Some points of the sample of the node, for searches.
+    pub(crate) few_points: Points,
 }
+
+/// One of the points for searches per square of this size \[m\]. A search gives only the start of an alignment.
+const SEARCH_VOXEL_M: f64 = 0.5;
 
 /// The most places that are kept. Each needs about 1 MB.
 const MAX_KEPT: usize = 256;
@@ -73,7 +78,8 @@ impl<'a> Places<'a> {
         let options = SubmapOptions::default();
         let node = Node::around(self.drive, &self.poses, self.scans[place], HALF_M, &options);
         let walls = BlurredMap::new(node.target().points(), MAP_SQUARE_M, MAP_BLUR_M);
-        Place { node, walls }
+        let few_points = node.sample().thin(SEARCH_VOXEL_M);
+        Place { node, walls, few_points }
     }
 }
 

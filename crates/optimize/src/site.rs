@@ -20,11 +20,11 @@ use register::{Drive, places as places_along};
 
 use crate::gnc::reject_false_closures;
 use crate::graph::Edge;
-use crate::guided::{Limit, predictions};
+use crate::guided::{Comparisons, Limit, predictions};
 use crate::places::{Places, carry};
 use crate::solve::{
-    ComparedKeyframes, PLACE_STEP_M, add_compared, align_all, compare_keyframes, graph_of,
-    is_offered, mark_unsupported,
+    ComparedKeyframes, LOOP_GAP_M, PLACE_STEP_M, add_compared, align_all, compare_keyframes,
+    graph_of, is_offered, mark_unsupported,
 };
 use crate::support::{Graph, Link, Outcome, is_close};
 use crate::trusted::trusted;
@@ -412,14 +412,18 @@ impl<'a> SiteMaps<'a> {
         };
         let [in_a, in_b] = [pair.a, pair.b].map(|map| self.is_in(map));
         let scan = |place: usize| self.places.scans[place];
-        let is_pair = |reference: usize, query: usize| in_a[scan(reference)] && in_b[scan(query)];
-        let predict =
-            |poses: &[Pose2]| predictions(&self.places.path_m, poses, &is_pair, Some(PLACE_LIMIT));
+        let retain = |query: usize, near: &mut Vec<usize>| {
+            near.retain(|&reference| in_a[scan(reference)] && in_b[scan(query)]);
+        };
+        let predict = |poses: &[Pose2], _: &[Link]| {
+            predictions(&self.places.path_m, poses, &retain, Some(PLACE_LIMIT))
+        };
         let graph = Graph { places: &self.places, choose: &choose, predict: &predict };
-        let Outcome { confirmed, rounds, .. } = graph.supported(links, offered);
+        let Outcome { confirmed, rounds, .. } =
+            graph.supported(&mut Comparisons::new(&self.places), links, offered);
         let (n_predicted, n_confirmed) =
             rounds.last().map_or((0, 0), |last| (last.n_predicted, last.n_confirmed));
-        Attachment { poses: confirmed, n_predicted, n_confirmed }
+        Attachment { poses: confirmed.map(|map| map.poses), n_predicted, n_confirmed }
     }
 
     /// The hypothesis that the scans confirm, unless there are none or two.
@@ -467,8 +471,10 @@ impl<'a> SiteMaps<'a> {
             let Some(confirmed) = found.confirmed() else { break };
             let poses = self.aligned(pair, confirmed);
             let [in_a, in_b] = [pair.a, pair.b].map(|map| self.is_in(map));
-            let is_pair = |a: usize, b: usize| a < b && (in_a[a] && in_b[b] || in_b[a] && in_a[b]);
-            let mut compared = compare_keyframes(self.drive, &poses, &is_pair, KEYFRAME_LIMIT);
+            let between = |b: usize, near: &mut Vec<usize>| {
+                near.retain(|&a| a < b && (in_a[a] && in_b[b] || in_b[a] && in_a[b]));
+            };
+            let mut compared = compare_keyframes(self.drive, &poses, &between, KEYFRAME_LIMIT);
             let unsupported = mark_unsupported(&self.drive.path_m, &mut compared);
             let mut n_dropped = 0;
             for (k, link) in links.iter().enumerate() {
@@ -497,6 +503,12 @@ impl<'a> SiteMaps<'a> {
         JoinOutcome::Unsupported { n_predicted, n_confirmed }
     }
 
+    /// Keeps the scans that have enough path after them to be aligned with `later` over closures.
+    fn retain_earlier(&self, later: usize, near: &mut Vec<usize>) {
+        let path_m = &self.drive.path_m;
+        near.retain(|&earlier| LOOP_GAP_M <= path_m[later] - path_m[earlier]);
+    }
+
     /// The places of a map.
     fn places_of(&self, map: &[usize]) -> Vec<usize> {
         let in_map = self.is_in(map);
@@ -517,7 +529,8 @@ impl<'a> SiteMaps<'a> {
         let carried = carry(self.drive, &self.poses, &scans, &after);
         let is_held: Vec<bool> = in_b.iter().map(|moves| !moves).collect();
         let is_in_map = |scan: usize| in_a[scan] || in_b[scan];
-        align_all(self.drive, &carried, &is_in_map, &is_held, self.detector)
+        let retain = |later: usize, near: &mut Vec<usize>| self.retain_earlier(later, near);
+        align_all(self.drive, &carried, &is_in_map, &is_held, &retain, self.detector)
     }
 
     /// Aligns each new map of several drives as a whole.
@@ -527,8 +540,10 @@ impl<'a> SiteMaps<'a> {
             let first = in_map.iter().position(|in_map| *in_map);
             let is_held: Vec<bool> =
                 in_map.iter().enumerate().map(|(k, in_map)| !in_map || Some(k) == first).collect();
+            let is_in_map = |scan: usize| in_map[scan];
+            let retain = |later: usize, near: &mut Vec<usize>| self.retain_earlier(later, near);
             self.poses =
-                align_all(self.drive, &self.poses, &|scan| in_map[scan], &is_held, self.detector);
+                align_all(self.drive, &self.poses, &is_in_map, &is_held, &retain, self.detector);
         }
         let mut closures: BTreeMap<(usize, usize), Closure> = BTreeMap::new();
         for (solution, &start) in self.solutions.iter().zip(&self.drive.starts) {

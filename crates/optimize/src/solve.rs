@@ -7,11 +7,14 @@ use model::{Detector, Evidence};
 use nalgebra::Matrix3;
 use register::{Drive, JointOptions, pairs_along_path, places as places_along};
 
+use crate::certainty::Certainty;
 use crate::gnc::reject_false_closures;
 use crate::graph::{Edge, covariances};
-use crate::guided::{Compared, Limit, NearPoses, compare, covariance, predictions};
+use crate::guided::{
+    Compared, Comparisons, Limit, NearPoses, Retain, compare, covariance, predictions,
+};
 use crate::places::{Places, carry, chain};
-use crate::support::{Graph, Link, groups, is_close, largest_share};
+use crate::support::{Graph, Link, groups, is_close, largest_share, path_of_links};
 use crate::{Closure, Proposal, Reason, Solution};
 
 /// Proposals with more overlap are offered to the pose graph, whatever their confidence. What is right on
@@ -65,7 +68,7 @@ pub fn close_loops(
     let odometry = chain(drive, &drive.poses, &places.scans, &detector.drift);
     let start: Vec<Pose2> = places.scans.iter().map(|&scan| drive.poses[scan]).collect();
     let path_m = &places.path_m;
-    let is_pair = |reference: usize, query: usize| min_path_m <= path_m[query] - path_m[reference];
+    let certainty = |links: &[Link]| Certainty::new(&path_of_links(links, path_m), &detector.drift);
     let graph = Graph {
         places: &places,
         choose: &|links| {
@@ -73,12 +76,24 @@ pub fn close_loops(
             let robust = reject_false_closures(&odometry, &closures, &start);
             (robust.is_kept, robust.poses)
         },
-        predict: &|poses| predictions(path_m, poses, &is_pair, None),
+        predict: &|poses, links| {
+            let mut predicted = predictions(
+                path_m,
+                poses,
+                &|query, near| {
+                    near.retain(|&k| min_path_m <= path_m[query] - path_m[k]);
+                },
+                None,
+            );
+            certainty(links).mark(path_m, &mut predicted);
+            predicted
+        },
     };
+    let mut comparisons = Comparisons::new(&places);
     let mut is_offered = vec![true; links.len()];
     let mut rounds = Vec::new();
     loop {
-        let outcome = graph.supported(&links, &is_offered);
+        let outcome = graph.supported(&mut comparisons, &links, &is_offered);
         rounds.extend(outcome.rounds);
         for (position, &k) in offered.iter().enumerate() {
             if outcome.kept[position] {
@@ -92,13 +107,18 @@ pub fn close_loops(
         let Some(confirmed) = outcome.confirmed else {
             return unclosed(drive, proposals, &reasons, detector, rounds);
         };
-        let poses = carry(drive, &drive.poses, &places.scans, &confirmed);
+        let certainty = certainty(&confirmed.links);
+        let poses = carry(drive, &drive.poses, &places.scans, &confirmed.poses);
         let is_held: Vec<bool> = (0..poses.len()).map(|scan| scan == 0).collect();
-        let poses = align_all(drive, &poses, &|_| true, &is_held, detector);
-        let is_pair = |reference: usize, query: usize| {
-            min_path_m <= drive.path_m[query] - drive.path_m[reference]
+        let certain = |min_path_m: f64| {
+            let certainty = &certainty;
+            move |query: usize, near: &mut Vec<usize>| {
+                near.retain(|&k| min_path_m <= drive.path_m[query] - drive.path_m[k]);
+                certainty.retain(&drive.path_m, query, near);
+            }
         };
-        let mut compared = compare_keyframes(drive, &poses, &is_pair, KEYFRAME_LIMIT);
+        let poses = align_all(drive, &poses, &|_| true, &is_held, &certain(LOOP_GAP_M), detector);
+        let mut compared = compare_keyframes(drive, &poses, &certain(min_path_m), KEYFRAME_LIMIT);
         let unsupported = mark_unsupported(&drive.path_m, &mut compared);
         let mut n_dropped = 0;
         for (position, link) in links.iter().enumerate() {
@@ -180,19 +200,23 @@ impl ComparedKeyframes {
     }
 }
 
-/// Compares each keyframe with the keyframes near it, of those for which `is_pair(reference, query)` holds.
+/// Compares each keyframe with the keyframes near it, of those that `retain` keeps.
 /// The submaps have the optimized poses, which are less bent than those of scan matching.
 pub(crate) fn compare_keyframes(
     drive: &Drive<'_>,
     poses: &[Pose2],
-    is_pair: &(dyn Fn(usize, usize) -> bool + Sync),
+    retain: &Retain<'_>,
     limit: Limit,
 ) -> Vec<ComparedKeyframes> {
     let keyframes: Vec<usize> = (0..drive.scans.len()).filter(|&k| drive.is_keyframe[k]).collect();
     let keyframe_poses: Vec<Pose2> = keyframes.iter().map(|&k| poses[k]).collect();
     let path_m: Vec<f64> = keyframes.iter().map(|&k| drive.path_m[k]).collect();
-    let is_pair = |a: usize, b: usize| is_pair(keyframes[a], keyframes[b]);
-    let predicted = predictions(&path_m, &keyframe_poses, &is_pair, Some(limit));
+    let retain_keyframes = |query: usize, near: &mut Vec<usize>| {
+        near.iter_mut().for_each(|k| *k = keyframes[*k]);
+        retain(keyframes[query], near);
+        near.iter_mut().for_each(|scan| *scan = keyframes.partition_point(|k| k < scan));
+    };
+    let predicted = predictions(&path_m, &keyframe_poses, &retain_keyframes, Some(limit));
     let places = Places::new(drive, poses, keyframes);
     compare(&places, &predicted)
         .into_iter()
@@ -210,21 +234,23 @@ const JOINT_ITERATIONS: u32 = 6;
 /// Scans up to this far apart are aligned over closures \[m\].
 const LOOP_REACH_M: f64 = 3.0;
 /// They have at least this much path between them \[m\].
-const LOOP_GAP_M: f64 = 5.0;
+pub(crate) const LOOP_GAP_M: f64 = 5.0;
 /// The most earlier scans per scan, one per metre of path.
 const LOOP_PARTNERS: usize = 6;
 
-/// Aligns all scans of a map jointly, along the path and over the closures. Those that are held stay.
+/// Aligns all scans of a map jointly, along the path and over the closures: the earlier scans near a scan that
+/// `retain` keeps. Those that are held stay.
 pub(crate) fn align_all(
     drive: &Drive<'_>,
     poses: &[Pose2],
     is_in_map: &dyn Fn(usize) -> bool,
     is_held: &[bool],
+    retain: &Retain<'_>,
     detector: &Detector,
 ) -> Vec<Pose2> {
     let mut pairs = pairs_along_path(&drive.path_m);
     pairs.retain(|&(earlier, _)| is_in_map(earlier));
-    pairs.extend(pairs_over_closures(drive, poses, is_in_map));
+    pairs.extend(pairs_over_closures(drive, poses, is_in_map, retain));
     pairs.retain(|&(earlier, later)| !(is_held[earlier] && is_held[later]));
     let options = JointOptions { iterations: JOINT_ITERATIONS, ..JointOptions::default() };
     drive.align_jointly(poses, &pairs, is_held, &detector.odometry, &options)
@@ -235,14 +261,18 @@ fn pairs_over_closures(
     drive: &Drive<'_>,
     poses: &[Pose2],
     is_in_map: &dyn Fn(usize) -> bool,
+    retain: &Retain<'_>,
 ) -> Vec<(usize, usize)> {
     let near_poses = NearPoses::new(poses, LOOP_REACH_M);
     let mut pairs = Vec::new();
     for later in (0..poses.len()).filter(|&scan| is_in_map(scan)) {
-        let mut near: Vec<(f64, usize)> = near_poses
+        let mut near: Vec<usize> = near_poses
             .around(&poses[later])
-            .filter(|&k| LOOP_GAP_M < drive.path_m[later] - drive.path_m[k] && is_in_map(k))
-            .filter(|&k| poses[k].distance_m(&poses[later]) <= LOOP_REACH_M)
+            .filter(|&k| is_in_map(k) && poses[k].distance_m(&poses[later]) <= LOOP_REACH_M)
+            .collect();
+        retain(later, &mut near);
+        let mut near: Vec<(f64, usize)> = near
+            .into_iter()
             .map(|k| {
                 let turn_rad = poses[k].heading_difference_rad(&poses[later]);
                 (poses[k].distance_m(&poses[later]) + turn_rad, k)
