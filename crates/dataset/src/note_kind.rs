@@ -419,6 +419,15 @@ codes! {
             /// Those that they were not joined with.
             others: String,
         } => "site `{site}`: {logs} fit onto {others} in two different ways, nearly equally well, and were not joined: the buildings or corridors look alike";
+        /// A drive fits two earlier maps, which stay apart.
+        Warning "earlier_maps_overlap" EarlierMapsOverlap {
+            /// The site.
+            site: String,
+            /// The logs of one map.
+            logs: String,
+            /// Those of the other one.
+            others: String,
+        } => "site `{site}`: {logs} fit onto {others}, but both contain an earlier map, and earlier maps stay where they are: run all of these logs together to get one map";
 
         // Absolute references of maps.
 

@@ -60,6 +60,9 @@ pub enum JoinOutcome {
     },
     /// The scans confirm two relative poses nearly as well.
     Ambiguous,
+    /// Both are earlier maps, which stay where they are, or contain one. The places are confirmed to be the same by
+    /// the relative pose alone; keyframes were not compared.
+    BothKnown,
 }
 
 /// The drives of a site with their closures.
@@ -237,15 +240,11 @@ impl<'a> SiteMaps<'a> {
                 (Reverse(self.links(&pair).len()), map[0])
             });
             for other in others {
-                let is_known = |map: &[usize]| map[0] < self.first_new;
-                // Both stay where they are.
-                if is_known(&other) && is_known(&current) {
-                    self.maps.push(other);
-                    continue;
-                }
                 // A known map stays.
-                let (a, b) =
-                    if is_known(&current) { (&current, &other) } else { (&other, &current) };
+                let (a, b) = match self.is_known(&current) && !self.is_known(&other) {
+                    true => (&current, &other),
+                    false => (&other, &current),
+                };
                 let (a, b) = (a.clone(), b.clone());
                 match self.join(&Pair { a: &a, b: &b }) {
                     true => {
@@ -260,7 +259,12 @@ impl<'a> SiteMaps<'a> {
         self.maps.sort();
     }
 
-    /// Joins two maps if the scans confirm a relative pose of them. Then the second one is moved.
+    /// Whether a map has known drives.
+    fn is_known(&self, map: &[usize]) -> bool {
+        map[0] < self.first_new
+    }
+
+    /// Joins two maps if the scans confirm a relative pose of them, unless both are known. Then the second one is moved.
     fn join(&mut self, pair: &Pair<'_>) -> bool {
         let links = self.links(pair);
         let (indices, links): (Vec<usize>, Vec<Link>) = links.into_iter().unzip();
@@ -271,13 +275,14 @@ impl<'a> SiteMaps<'a> {
         let attachments: Vec<Attachment> =
             hypotheses.iter().map(|h| self.attach(pair, &links, h, &h.agrees)).collect();
         let outcome = match self.best(pair, &attachments) {
+            Ok(_) if self.is_known(pair.a) && self.is_known(pair.b) => JoinOutcome::BothKnown,
             Ok(best) => {
                 let first = attachments.into_iter().nth(best);
                 self.settle(pair, &indices, &links, &hypotheses[best], first)
             }
             Err(outcome) => outcome,
         };
-        if !matches!(outcome, JoinOutcome::Joined { .. }) {
+        if !matches!(outcome, JoinOutcome::Joined { .. } | JoinOutcome::BothKnown) {
             for &index in &indices {
                 self.reasons[index] = Reason::Unsupported;
             }

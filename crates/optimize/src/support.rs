@@ -34,8 +34,11 @@ pub(crate) struct Graph<'a> {
     pub(crate) choose: &'a dyn Fn(&[Link]) -> Chosen,
     /// The pairs of places that poses of the places predict to be the same. The poses are those that the links
     /// lead to.
-    pub(crate) predict: &'a dyn Fn(&[Pose2], &[Link]) -> Vec<Prediction>,
+    pub(crate) predict: &'a Predict<'a>,
 }
+
+/// Makes predictions from poses of the places and the links that led to them.
+pub(crate) type Predict<'a> = dyn Fn(&[Pose2], &[Link]) -> Vec<Prediction> + 'a;
 
 /// For each link whether it is kept, and the poses of the places.
 pub(crate) type Chosen = (Vec<bool>, Vec<Pose2>);

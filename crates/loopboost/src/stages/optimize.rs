@@ -349,10 +349,16 @@ fn join_notes(site: &SiteDrives, solved: &Site) -> Vec<Note> {
         let site = site.site.clone();
         notes.push(NoteKind::SeparateMaps { site, maps: maps.join(" | ") }.into());
     }
-    let ambiguous = solved.joins.iter().filter(|join| join.outcome == JoinOutcome::Ambiguous);
-    notes.extend(ambiguous.map(|join| {
+    notes.extend(solved.joins.iter().filter_map(|join| {
         let (logs, others) = (joined(&of_map(&join.drives)), joined(&of_map(&join.to)));
-        NoteKind::AmbiguousMaps { site: site.site.clone(), logs, others }.into()
+        let site = site.site.clone();
+        match join.outcome {
+            JoinOutcome::Ambiguous => Some(NoteKind::AmbiguousMaps { site, logs, others }.into()),
+            JoinOutcome::BothKnown => {
+                Some(NoteKind::EarlierMapsOverlap { site, logs, others }.into())
+            }
+            JoinOutcome::Joined { .. } | JoinOutcome::Unsupported { .. } => None,
+        }
     }));
     notes
 }

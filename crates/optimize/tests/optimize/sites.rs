@@ -242,6 +242,31 @@ fn a_known_map_stays_and_the_result_is_that_of_all_drives_together() {
     assert!(largest(2) < 4.0 * largest(1), "{} {}", largest(2), largest(1));
 }
 
+/// Two earlier maps of one building stay apart, and it is reported that a drive fits both.
+#[test]
+fn a_drive_that_fits_two_known_maps_joins_one_of_them() {
+    let building = this_building();
+    let simulated = [
+        one_lap(&building, 0.0, Pose2::default(), 1.0),
+        one_lap(&building, 0.3, FRAME, -1.0),
+        one_lap(&building, 0.6, Pose2::default(), 0.5),
+    ];
+    let drives = drives(&simulated);
+    let mut proposals = drives.proposals(0, 2, Pose2::default());
+    proposals.extend(drives.proposals(1, 2, Pose2::default()));
+    let known = Known { maps: vec![vec![0], vec![1]], closures: Vec::new() };
+    let site = drives.join(&known, &proposals);
+    assert_eq!(site.maps.len(), 2, "{:?}", site.joins);
+    let outcomes: Vec<JoinOutcome> = site.joins.iter().map(|join| join.outcome).collect();
+    assert!(
+        matches!(outcomes[..], [JoinOutcome::Joined { .. }, JoinOutcome::BothKnown]),
+        "{outcomes:?}"
+    );
+    for part in drives.drive.parts().into_iter().take(2) {
+        assert_eq!(site.solution.poses[part.clone()], drives.drive.poses[part]);
+    }
+}
+
 /// The result does not depend on the number of threads.
 #[test]
 fn the_result_is_the_same_for_any_number_of_threads() {
