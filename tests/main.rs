@@ -28,6 +28,7 @@ mod made_planar;
 mod map_labels;
 mod poses;
 mod real_logs;
+mod references;
 mod require;
 mod require_checks;
 mod resume;

@@ -94,7 +94,8 @@ pub struct MapPose {
     pub stamp_ns: i64,
     /// The pose in the frame of the map.
     pub pose: Pose2,
-    /// Covariance of x, y and heading relative to the first pose of the map. The entries are the same as
+    /// Covariance of x, y and heading relative to the first pose of the map, or, for a map in the frame of
+    /// absolute references, in that frame. The entries are the same as
     /// in [`StampedPose::covariance`](crate::StampedPose::covariance).
     pub covariance: Option<[f64; 6]>,
     /// Whether the points do not determine the position in one direction.

@@ -433,7 +433,6 @@ codes! {
             /// Those that they were not joined with.
             others: String,
         } => "site `{site}`: {logs} fit onto {others} in two different ways, nearly equally well, and were not joined: the buildings or corridors look alike";
-
         /// A drive fits two earlier maps, which stay apart.
         Warning "earlier_maps_overlap" EarlierMapsOverlap {
             /// The site.
@@ -443,6 +442,114 @@ codes! {
             /// Those of the other one.
             others: String,
         } => "site `{site}`: {logs} fit onto {others}, but both contain an earlier map, and earlier maps stay where they are: run all of these logs together to get one map";
+
+        // Absolute references of maps.
+
+        /// A map is in the frame of its references.
+        Info "map_georeferenced" MapGeoreferenced {
+            /// The site.
+            site: String,
+            /// Number of the map.
+            map: u32,
+            /// The logs of the map.
+            logs: Vec<String>,
+            /// Latitude of the origin, positive north \[deg\]. None for surveyed poses without an origin.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            latitude_deg: Option<f64>,
+            /// Longitude of the origin, positive east \[deg\].
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            longitude_deg: Option<f64>,
+            /// Height of the origin above the ellipsoid \[m\].
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            altitude_m: Option<f64>,
+            /// Standard deviation of the direction of the map as a whole \[deg\].
+            heading_std_deg: f64,
+        } => "map {map} of site `{site}` ({}) is in the frame of its references, {}; standard deviation of its direction {heading_std_deg:.2} deg", of_logs(logs),
+            match (latitude_deg, longitude_deg, altitude_m) {
+                (Some(latitude), Some(longitude), Some(altitude)) => format!("x east and y north of latitude {latitude} deg, longitude {longitude} deg, altitude {altitude} m"),
+                _ => "that of the surveyed poses".to_owned(),
+            };
+        /// How well the references of a log agree with the map.
+        Info "references_used" ReferencesUsed {
+            /// References that agree.
+            n_used: u64,
+            /// References that contradict the map, and have no influence on it.
+            n_outliers: u64,
+            /// Mean distance from the map of those that agree \[m\].
+            mean_m: f64,
+            /// Root mean square distance \[m\].
+            rms_m: f64,
+            /// Largest distance \[m\].
+            largest_m: f64,
+            /// Root mean square error per direction, in stated standard deviations.
+            rms_stds: f64,
+        } => "{} within {largest_m:.2} m of the map (mean {mean_m:.2} m, root mean square {rms_m:.2} m, {rms_stds:.1} stated standard deviations); {n_outliers} outliers have no influence", count(*n_used, "reference");
+        /// Most references of a log contradict its map.
+        Error "references_contradict" ReferencesContradict {
+            /// References.
+            n_references: u64,
+            /// Median distance from the map where they fit best \[m\].
+            median_m: f64,
+            /// Median of the stated standard deviations in each direction \[m\].
+            stated_std_m: f64,
+            /// What explains it.
+            found: String,
+        } => "{} not used, because most of them contradict the map: where they fit best, their median distance is {median_m:.2} m, with a stated standard deviation of {stated_std_m:.2} m; {found}", count(*n_references, "reference");
+        /// References do not determine the frame of a map.
+        Warning "references_do_not_decide" ReferencesDoNotDecide {
+            /// References.
+            n_references: u64,
+            /// Standard deviation of the direction of the map \[deg\]. None if nothing is known of it.
+            #[serde(default, skip_serializing_if = "Option::is_none")]
+            heading_std_deg: Option<f64>,
+        } => "{} not used, because they do not determine the direction of the map ({}); expected two positions far from each other, or a pose, and a standard deviation of 5 deg or less", count(*n_references, "reference"),
+            match heading_std_deg {
+                Some(std) => format!("standard deviation {std:.1} deg"),
+                None => "positions at one place".to_owned(),
+            };
+        /// References scatter more than they state.
+        Warning "references_scatter" ReferencesScatter {
+            /// Measured over stated standard deviation.
+            factor: f64,
+        } => "the errors of the references are {factor:.1} times as large as they state: standard deviations that much larger were used; state them with `std_m`";
+        /// The place of an antenna on the robot is not known.
+        Warning "reference_point_unknown" ReferencePointUnknown
+            => "the place of the antenna on the robot is not known: no fixed transforms connect its frame and that of the lidar, and the origin of the robot was used; set `mount` of this reference";
+        /// A log has no references from a source.
+        Warning "log_without_references" LogWithoutReferences {
+            /// Why.
+            reason: String,
+        } => "no references: {reason}";
+        /// References are outside of the time of the scans.
+        Info "references_outside_drive" ReferencesOutsideDrive {
+            /// Those.
+            n_outside: u64,
+            /// All references.
+            n_references: u64,
+        } => "{n_outside} of {} before the first scan, after the last one, or in a gap of the odometry: not used", count(*n_references, "reference");
+        /// Maps without a common place are in one frame.
+        Info "maps_linked_by_references" MapsLinkedByReferences {
+            /// The site.
+            site: String,
+            /// Number of the map.
+            map: u32,
+            /// The logs of each part, separated by `|`.
+            parts: String,
+        } => "map {map} of site `{site}` has parts that no closure connects: {parts}; only the references give their relative poses";
+        /// Places that look alike are far from each other by the references.
+        Warning "closures_far_by_references" ClosuresFarByReferences {
+            /// The site.
+            site: String,
+            /// Possible closures with enough confidence.
+            n_closures: u64,
+            /// Median distance of their places by the references \[m\].
+            median_m: f64,
+        } => "site `{site}`: {} rejected, because the references say that the places are not the same (median distance {median_m:.0} m): the places look alike, or the references of a log are in another frame", count(*n_closures, "possible closure");
+        /// The map of an earlier run has no frame of references.
+        Warning "earlier_map_without_references" EarlierMapWithoutReferences {
+            /// References.
+            n_references: u64,
+        } => "{} not used, because the earlier map (`detect.maps`) stays and is not in a frame of references; make that map with `optimize.references`", count(*n_references, "reference");
 
         // Comparing two runs A and B (`map compare`).
 

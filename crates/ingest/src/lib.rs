@@ -63,6 +63,7 @@ pub use options::{Clock, LidarOptions, Options};
 pub use pose::file::PoseFileError;
 pub use pose::frames::LookupError;
 pub use pose::only::read_poses;
+pub use pose::reference::{Fix, ReferenceMessages, ReferenceTopic, read_references};
 pub use pose::wheel_error::WheelError;
 pub use pose_options::{Frames, Jumps, Origin, PlanarPose, PoseOptionError, PoseOptions};
 pub use scan::assemble::Ingested;

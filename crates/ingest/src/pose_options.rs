@@ -142,12 +142,12 @@ pub struct PlanarPose {
 
 impl PlanarPose {
     /// The pose in metres and radians.
-    pub(crate) fn pose(&self) -> Pose2 {
+    pub fn pose(&self) -> Pose2 {
         Pose2 { x_m: self.x_m, y_m: self.y_m, heading_rad: self.heading_deg.to_radians() }
     }
 
     /// The key and value of a value that is not finite.
-    pub(crate) fn not_finite(&self) -> Option<(&'static str, f64)> {
+    pub fn not_finite(&self) -> Option<(&'static str, f64)> {
         let values = [("x_m", self.x_m), ("y_m", self.y_m), ("heading_deg", self.heading_deg)];
         values.into_iter().find(|(_, value)| !value.is_finite())
     }
@@ -233,7 +233,7 @@ impl PoseOptions {
             return out_of_range("max_speed_m_s", self.max_speed_m_s, "more than 0");
         }
         if let Some(origin) = &self.origin {
-            origin.check()?;
+            origin.check("ingest.pose")?;
         }
         if let Some(frames) = &self.frames {
             return frames.check();
@@ -290,16 +290,20 @@ impl Frames {
 }
 
 impl Origin {
-    fn check(&self) -> Result<(), PoseOptionError> {
+    /// Checks that the origin is on the earth. `section` is where the options name it.
+    pub fn check(&self, section: &str) -> Result<(), OutOfRange> {
+        let fail = |key: &str, found: f64, expected: &str| {
+            Err(OutOfRange::new(format!("{section}.origin.{key}"), found, expected))
+        };
         if !(-90.0..=90.0).contains(&self.latitude_deg) {
-            return out_of_range("origin.latitude_deg", self.latitude_deg, "-90 to 90");
+            return fail("latitude_deg", self.latitude_deg, "-90 to 90");
         }
         if !(-360.0..=360.0).contains(&self.longitude_deg) {
-            return out_of_range("origin.longitude_deg", self.longitude_deg, "-360 to 360");
+            return fail("longitude_deg", self.longitude_deg, "-360 to 360");
         }
         match self.altitude_m.is_finite() {
             true => Ok(()),
-            false => out_of_range("origin.altitude_m", self.altitude_m, "a finite number"),
+            false => fail("altitude_m", self.altitude_m, "a finite number"),
         }
     }
 }

@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::detection::{DetectSection, OptimizeSection, check_register};
+use crate::detection::{self, DetectSection, OptimizeSection};
 use crate::logs::{self, LogFile, stem};
 
 /// The command line or the pipeline file is invalid; exit code 2.
@@ -317,8 +317,7 @@ impl Config {
         if let Some(simulate) = &self.simulate {
             simulate.check().context("[simulate]")?;
         }
-        check_register(&self.register)?;
-        self.detection().check()?;
+        detection::check(&self.register, &self.detection(), &self.optimize)?;
         self.train.check()?;
         if self.train.learners.is_empty() && self.detect.is_none() {
             return Err(anyhow!(

@@ -1,9 +1,13 @@
 //! The sections `[register]`, `[detect]` and `[optimize]` of the pipeline file.
 
+use anyhow::Result;
 use dataset::OutOfRange;
+use ingest::Origin;
 use register::RegisterOptions;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::reference_options::ReferenceOptions;
 
 /// `[detect]`: which places are compared. With this section, `run` also finds loop closures: it runs the
 /// stages `register`, `detect` and `optimize`.
@@ -41,7 +45,7 @@ impl Default for DetectSection {
 
 impl DetectSection {
     /// Checks that every value is in range.
-    pub(crate) fn check(&self) -> Result<(), OutOfRange> {
+    fn check(&self) -> Result<(), OutOfRange> {
         for (key, found) in [
             ("min_path_m", self.min_path_m),
             ("place_step_m", self.place_step_m),
@@ -70,16 +74,42 @@ pub(crate) struct OptimizeSection {
     /// Whether to align every scan with the finished map. Without this, the poses of the scans between
     /// two registered scans are interpolated with the odometry.
     pub(crate) every_scan: bool,
+    /// Origin of the frame of the references: x points east and y north. Without it, the first satellite fix of
+    /// the first log of a site is the origin, or that of the map in `detect.maps`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) origin: Option<Origin>,
+    /// Absolute positions and poses, which put the maps into their frame.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(crate) references: Vec<ReferenceOptions>,
 }
 
 impl Default for OptimizeSection {
     fn default() -> Self {
-        Self { every_scan: true }
+        Self { every_scan: true, origin: None, references: Vec::new() }
     }
 }
 
-/// Checks `[register]`.
-pub(crate) fn check_register(options: &RegisterOptions) -> Result<(), OutOfRange> {
+impl OptimizeSection {
+    fn check(&self) -> Result<()> {
+        if let Some(origin) = &self.origin {
+            origin.check("optimize")?;
+        }
+        self.references.iter().try_for_each(ReferenceOptions::check)
+    }
+}
+
+/// Checks `[register]`, `[detect]` and `[optimize]`.
+pub(crate) fn check(
+    register: &RegisterOptions,
+    detect: &DetectSection,
+    optimize: &OptimizeSection,
+) -> Result<()> {
+    check_register(register)?;
+    detect.check()?;
+    optimize.check()
+}
+
+fn check_register(options: &RegisterOptions) -> Result<(), OutOfRange> {
     for (key, found) in [
         ("spacing_m", options.spacing_m),
         ("turn_deg", options.turn_deg),

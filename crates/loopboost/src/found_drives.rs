@@ -5,10 +5,10 @@ use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::{
-    read_candidates, read_closures, read_poses, read_registered, read_trajectory,
+    Provenance, read_candidates, read_closures, read_poses, read_registered, read_trajectory,
 };
 use dataset::{
-    CandidateClosure, JudgedClosure, MapPose, Pose2, RegisteredScan, ScanClosure, ScanId,
+    CandidateClosure, JudgedClosure, MapPose, NoteKind, Pose2, RegisteredScan, ScanClosure, ScanId,
     Trajectory,
 };
 use evaluate::detection::{
@@ -48,10 +48,20 @@ struct Shared {
 impl FoundDrive {
     /// The drives of all logs, and the sites with several drives.
     pub(crate) fn load_all(run: &Run) -> Result<(Vec<Self>, Vec<SiteDrives>)> {
+        let (mut keyframes, Provenance { notes, .. }) =
+            read_trajectory(&run.path_of(Artifact::Trajectory))?;
+        // Poses are compared with the ground truth after an alignment at the first one. Covariances in the frame of
+        // absolute references are not those of poses relative to the first one.
+        for note in &notes {
+            if let NoteKind::MapGeoreferenced { map, .. } = note.kind {
+                let of_map = keyframes.iter_mut().filter(|keyframe| keyframe.map == map);
+                of_map.for_each(|keyframe| keyframe.covariance = None);
+            }
+        }
         let shared = Shared {
             candidates: read_candidates(&run.path_of(Artifact::Candidates))?.0,
             closures: read_closures(&run.path_of(Artifact::Closures))?.0,
-            keyframes: read_trajectory(&run.path_of(Artifact::Trajectory))?.0,
+            keyframes,
         };
         let mut drives = Vec::new();
         for log in run.ingested_logs()? {

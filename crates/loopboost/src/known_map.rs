@@ -4,8 +4,9 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
-use dataset::tables::{Provenance, read_closures, read_poses, read_registered};
-use dataset::{JudgedClosure, Pose2, RangeLimits, ScanClosure};
+use dataset::tables::{Provenance, read_closures, read_poses, read_registered, read_trajectory};
+use dataset::{JudgedClosure, NoteKind, Pose2, RangeLimits, ScanClosure};
+use ingest::Origin;
 use register::RegisterOptions;
 use serde_json::Value;
 
@@ -25,6 +26,8 @@ pub(crate) struct KnownMap {
     pub(crate) maps: Vec<u32>,
     /// The accepted closures within and between them. `locate` does not need them.
     pub(crate) closures: Vec<ScanClosure>,
+    /// The number and the origin of the map that is in a frame of absolute references.
+    pub(crate) frame: Option<(u32, Option<Origin>)>,
 }
 
 impl KnownMap {
@@ -36,7 +39,9 @@ impl KnownMap {
     pub(crate) fn read(run: &Run) -> Result<Option<Self>> {
         let runs = MapRun::known(run)?;
         let Some(first) = runs.first() else { return Ok(None) };
-        let mut known = Self::default();
+        let (_, Provenance { notes, .. }) = read_trajectory(&first.path(Artifact::Trajectory, ""))?;
+        let frame = notes.iter().find_map(|note| frame(&note.kind));
+        let mut known = Self { frame, ..Self::default() };
         let mut names = BTreeSet::new();
         for map in &runs {
             for log in map.logs() {
@@ -108,6 +113,19 @@ impl KnownMap {
         }
         Ok(inputs)
     }
+}
+
+/// The number and the origin of a map in the frame of its references, from the note that says so.
+fn frame(note: &NoteKind) -> Option<(u32, Option<Origin>)> {
+    let NoteKind::MapGeoreferenced { map, latitude_deg, longitude_deg, altitude_m, .. } = *note
+    else {
+        return None;
+    };
+    let origin = || {
+        let (latitude_deg, longitude_deg) = (latitude_deg?, longitude_deg?);
+        Some(Origin { latitude_deg, longitude_deg, altitude_m: altitude_m? })
+    };
+    Some((map, origin()))
 }
 
 /// The range limits of the registration of a log, from the options of its table.

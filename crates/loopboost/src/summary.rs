@@ -35,6 +35,17 @@ pub(crate) enum Summary {
     Optimized { log: String, n_accepted: u64, n_rejected: u64, n_poses: u64 },
     /// The closures between the drives of a site, and its maps.
     Joined { site: String, n_drives: u64, n_maps: u64, n_accepted: u64, n_rejected: u64 },
+    /// The absolute references of a log, compared with its map.
+    Referenced {
+        log: String,
+        source: String,
+        n_used: u64,
+        n_outliers: u64,
+        mean_m: f64,
+        rms_m: f64,
+        largest_m: f64,
+        rms_stds: f64,
+    },
     /// The closures and the trajectory of a segment of a log, compared with the ground truth.
     Closed {
         log: String,
@@ -157,6 +168,14 @@ impl fmt::Display for Summary {
                 f,
                 "{log}: {n_accepted} closures accepted, {n_rejected} rejected; {n_poses} poses"
             ),
+            Self::Referenced {
+                log, source, n_used, n_outliers, mean_m, rms_m, largest_m, ..
+            } => {
+                write!(
+                    f,
+                    "{log}: {n_used} references of {source} agree with the map within {largest_m:.2} m (mean {mean_m:.2} m, root mean square {rms_m:.2} m), {n_outliers} outliers"
+                )
+            }
             Self::Closed { .. } => self.closed(f),
             Self::ClosedBetween { .. } => self.closed(f),
             Self::Trained { model, version, rounds, errors } => {

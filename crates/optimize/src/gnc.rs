@@ -28,31 +28,56 @@ pub struct Robust {
 /// In the end, the graph is optimized again from `start` with the kept closures, because the last poses
 /// of a graduation that rejects everything can be bad.
 pub fn reject_false_closures(odometry: &[Edge], closures: &[Edge], start: &[Pose2]) -> Robust {
-    let mut weights = vec![1.0; closures.len()];
-    let mut graph = Graduated::new(odometry, closures, start.len());
+    let shares = vec![1.0; closures.len()];
+    let max_chi2 = vec![MAX_CHI2; closures.len()];
+    reject_outliers(odometry, &Doubtful { edges: closures, shares, max_chi2 }, start)
+}
+
+/// Measurements of which some are wrong.
+pub(crate) struct Doubtful<'a> {
+    pub(crate) edges: &'a [Edge],
+    /// The weight of each in the cost, if it is kept. Whether it is kept is decided with its whole squared
+    /// error.
+    pub(crate) shares: Vec<f64>,
+    /// The squared error above which each is rejected.
+    pub(crate) max_chi2: Vec<f64>,
+}
+
+/// The same as [`reject_false_closures`] for any doubtful measurements.
+pub(crate) fn reject_outliers(
+    trusted: &[Edge],
+    doubtful: &Doubtful<'_>,
+    start: &[Pose2],
+) -> Robust {
+    let Doubtful { edges: doubted, shares, max_chi2 } = doubtful;
+    let mut kept = vec![1.0; doubted.len()];
+    let weights =
+        |kept: &[f64]| -> Vec<f64> { kept.iter().zip(shares).map(|(k, s)| k * s).collect() };
+    let mut graph = Graduated::new(trusted, doubted, start.len());
     let mut poses = start.to_vec();
-    graph.optimize(&weights, &mut poses);
-    let chi2_of =
-        |poses: &[Pose2]| -> Vec<f64> { closures.iter().map(|c| c.chi2(poses)).collect() };
+    graph.optimize(&weights(&kept), &mut poses);
+    let chi2_of = |poses: &[Pose2]| -> Vec<f64> { doubted.iter().map(|c| c.chi2(poses)).collect() };
     let mut chi2 = chi2_of(&poses);
-    let largest = chi2.iter().copied().fold(0.0, f64::max);
-    if MAX_CHI2 < largest {
-        let mut control = MAX_CHI2 / (2.0 * largest - MAX_CHI2);
+    let worst = chi2.iter().zip(max_chi2).max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
+    if let Some((largest, max)) = worst.filter(|(chi2, max)| max < chi2) {
+        let mut control = max / (2.0 * largest - max);
         for _ in 0..MAX_ROUNDS {
-            for (weight, &chi2) in weights.iter_mut().zip(&chi2) {
-                *weight = truncated_weight(chi2, control);
+            for (k, weight) in kept.iter_mut().enumerate() {
+                *weight = truncated_weight(chi2[k], control, max_chi2[k]);
             }
-            graph.optimize(&weights, &mut poses);
+            graph.optimize(&weights(&kept), &mut poses);
             chi2 = chi2_of(&poses);
-            if weights.iter().all(|&w| w == 0.0 || w == 1.0) {
+            if kept.iter().all(|&w| w == 0.0 || w == 1.0) {
                 break;
             }
             control *= GROWTH;
         }
     }
-    let is_kept: Vec<bool> = weights.iter().map(|&weight| weight > 0.5).collect();
-    let kept = closures.iter().zip(&is_kept).filter(|(_, kept)| **kept).map(|(edge, _)| edge);
-    let edges: Vec<Edge> = odometry.iter().chain(kept).copied().collect();
+    let is_kept: Vec<bool> = kept.iter().map(|&weight| weight > 0.5).collect();
+    let weighted = doubted.iter().zip(shares).zip(&is_kept).filter(|(_, kept)| **kept);
+    let weighted =
+        weighted.map(|((edge, share), _)| Edge { information: edge.information * *share, ..*edge });
+    let edges: Vec<Edge> = trusted.iter().copied().chain(weighted).collect();
     Robust { poses: optimize(&edges, start), is_kept }
 }
 
@@ -96,14 +121,14 @@ impl<'a> Graduated<'a> {
     }
 }
 
-/// The weight of a closure at a control parameter mu, with c^2 = [`MAX_CHI2`]: 1 below
+/// The weight of a closure at a control parameter mu, with c^2 = `max_chi2`: 1 below
 /// mu / (mu + 1) c^2, 0 above (mu + 1) / mu c^2, and sqrt(c^2 mu (mu + 1) / chi2) - mu between.
-fn truncated_weight(chi2: f64, control: f64) -> f64 {
-    if chi2 <= control / (control + 1.0) * MAX_CHI2 {
+fn truncated_weight(chi2: f64, control: f64, max_chi2: f64) -> f64 {
+    if chi2 <= control / (control + 1.0) * max_chi2 {
         1.0
-    } else if (control + 1.0) / control * MAX_CHI2 <= chi2 {
+    } else if (control + 1.0) / control * max_chi2 <= chi2 {
         0.0
     } else {
-        ((MAX_CHI2 * control * (control + 1.0) / chi2).sqrt() - control).clamp(0.0, 1.0)
+        ((max_chi2 * control * (control + 1.0) / chi2).sqrt() - control).clamp(0.0, 1.0)
     }
 }

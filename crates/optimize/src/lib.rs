@@ -8,6 +8,8 @@
 //!                                                                  └──align_every_scan──► a pose per scan
 //! ```
 //!
+//! [`place_by_references`] moves a finished map into the frame of satellite fixes and surveyed poses.
+//!
 //! [`close_loops`] does all of this but the last step. It decides with the odometry, with all closures
 //! together and with the scans at every place that the result predicts to be the same: no closure is
 //! accepted for its own score alone.
@@ -18,9 +20,13 @@ mod gnc;
 mod graph;
 mod guided;
 mod places;
+mod reference;
+mod reference_fit;
+mod references;
 mod site;
 mod solve;
 mod support;
+mod trusted;
 
 use dataset::Pose2;
 use model::Evidence;
@@ -29,6 +35,9 @@ use nalgebra::Matrix3;
 pub use every_scan::align_every_scan;
 pub use gnc::{MAX_CHI2, Robust, reject_false_closures};
 pub use graph::{Edge, covariances, optimize};
+pub use reference::{Reference, n_correlated};
+pub use reference_fit::{Cause, Contradiction};
+pub use references::{Placed, Placement, ReferencedMap, Residual, place_by_references};
 pub use site::{Join, JoinOutcome, Known, Site, join_drives};
 pub use solve::close_loops;
 
@@ -60,6 +69,8 @@ pub enum Reason {
     Unsupported,
     /// Its scans do not confirm the relative pose that the map predicts.
     NotConfirmed,
+    /// By the absolute references of its drives, its places are far from each other.
+    FarByReferences,
 }
 
 impl Reason {
@@ -70,6 +81,7 @@ impl Reason {
             Self::Inconsistent => "inconsistent",
             Self::Unsupported => "unsupported",
             Self::NotConfirmed => "not_confirmed",
+            Self::FarByReferences => "far_by_references",
         }
     }
 }

@@ -21,12 +21,13 @@ use register::{Drive, places as places_along};
 use crate::gnc::reject_false_closures;
 use crate::graph::Edge;
 use crate::guided::{Comparisons, Limit, predictions};
-use crate::places::{Places, carry, chain};
+use crate::places::{Places, carry};
 use crate::solve::{
     ComparedKeyframes, LOOP_GAP_M, PLACE_STEP_M, add_compared, align_all, compare_keyframes,
     graph_of, is_offered, mark_unsupported,
 };
 use crate::support::{Graph, Link, Outcome, is_close};
+use crate::trusted::trusted;
 use crate::{Closure, Proposal, Reason, Solution};
 
 /// An attempt to join two maps.
@@ -395,7 +396,8 @@ impl<'a> SiteMaps<'a> {
         let moved = self.places_of(pair.b);
         // Vertex 0 is the frame of the first map, the others are the places of the second one.
         let vertex_of = |place: usize| moved.partition_point(|&other| other < place) + 1;
-        let trusted = self.trusted(&moved);
+        let scans: Vec<usize> = moved.iter().map(|&place| self.places.scans[place]).collect();
+        let trusted = trusted(self.drive, &self.poses, &scans, &self.joined, self.detector);
         let mut start = vec![Pose2::default()];
         start.extend(moved.iter().map(|&place| hypothesis.a_from_b * self.pose_of(place)));
         let at_rest: Vec<Pose2> = (0..self.places.n()).map(|place| self.pose_of(place)).collect();
@@ -427,36 +429,6 @@ impl<'a> SiteMaps<'a> {
         let (n_predicted, n_confirmed) =
             rounds.last().map_or((0, 0), |last| (last.n_predicted, last.n_confirmed));
         Attachment { poses: confirmed.map(|map| map.poses), n_predicted, n_confirmed }
-    }
-
-    /// What is trusted within the map of these places: the shape of each drive, and the closures. Vertex 0
-    /// is the frame of another map.
-    fn trusted(&self, places: &[usize]) -> Vec<Edge> {
-        let scans: Vec<usize> = places.iter().map(|&place| self.places.scans[place]).collect();
-        let mut edges = chain(self.drive, &self.poses, &scans, &self.detector.drift);
-        let nearest = |scan: usize| {
-            let of_part = |k: &usize| self.part_of[scans[*k]] == self.part_of[scan];
-            let next = scans.partition_point(|&place| place < scan);
-            let near = [next.checked_sub(1), Some(next).filter(|&next| next < scans.len())];
-            near.into_iter().flatten().filter(of_part).min_by_key(|&k| scans[k].abs_diff(scan))
-        };
-        let mut pairs: Vec<[usize; 2]> = self
-            .joined
-            .iter()
-            .filter_map(|&[reference, query]| Some([nearest(reference)?, nearest(query)?]))
-            .filter(|[reference, query]| reference != query)
-            .collect();
-        pairs.sort_unstable();
-        pairs.dedup();
-        edges.extend(pairs.into_iter().map(|[reference, query]| {
-            let [a, b] = [reference, query].map(|k| self.poses[scans[k]]);
-            let link = Link { reference, query, reference_from_query: a.inverse() * b };
-            link.edge(&self.detector.closure)
-        }));
-        for edge in &mut edges {
-            (edge.a, edge.b) = (edge.a + 1, edge.b + 1);
-        }
-        edges
     }
 
     /// The hypothesis that the scans confirm, unless there are none or two.

@@ -15,6 +15,10 @@ use crate::pose::chain::{self, ChainLink, ChainPoses, product, stamped};
 use crate::pose::message::{check_position, unit_quaternion};
 use crate::pose::recorded::RecordedTransform;
 
+/// A transform that moves no more than this in a log is fixed: it is repeated with rounding errors. Metres plus
+/// radians.
+const MAX_FIXED_M_RAD: f64 = 1e-3;
+
 /// Parent frame and child frame of a transform.
 type Edge = (String, String);
 
@@ -184,6 +188,17 @@ impl TransformHistory {
             |k: usize| self.recorded.get(&chain[k].edge).map_or(0, RecordedTransform::n_samples);
         let moving = (0..chain.len()).filter(|&k| 1 < n_samples(k));
         moving.max_by_key(|&k| (n_samples(k), std::cmp::Reverse(k)))
+    }
+
+    /// The pose of the child frame in the parent frame, if it stays: no transform of the chain moves.
+    pub(crate) fn fixed(&self, parent: &str, child: &str) -> Option<Isometry3<f64>> {
+        let chain = self.chain(parent, child)?;
+        product(chain.iter().map(|link| {
+            let recorded = self.recorded.get(&link.edge);
+            let fixed = recorded.filter(|recorded| recorded.path_m_rad() <= MAX_FIXED_M_RAD);
+            let last = fixed.and_then(|fixed| fixed.samples().last());
+            (link.is_inverted, last.map(|(_, transform)| *transform))
+        }))
     }
 
     /// The poses of the child frame in the parent frame, at the stamps of the transform with the most

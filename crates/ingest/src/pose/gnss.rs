@@ -58,6 +58,14 @@ pub(crate) fn origin(fix: &NavSatFix) -> Origin {
     }
 }
 
+/// East and north of an origin \[m\]. An unknown altitude is that of the origin.
+pub(crate) fn east_north(origin: &Origin, point: &Origin) -> [f64; 2] {
+    let altitude_m =
+        if point.altitude_m.is_finite() { point.altitude_m } else { origin.altitude_m };
+    let [x_m, y_m, _] = LocalPlane::new(origin).east_north_up(&Origin { altitude_m, ..*point });
+    [x_m, y_m]
+}
+
 /// The pose of the receiver for each fix, in the order of the fixes and with their frames. The headings
 /// are not known yet: [`set_courses`] sets them.
 pub(crate) fn poses(fixes: &[(NavSatFix, u32)], origin: &Origin) -> Vec<StampedPose> {

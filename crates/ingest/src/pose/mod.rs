@@ -15,6 +15,7 @@ pub(crate) mod message;
 pub(crate) mod only;
 pub(crate) mod readings;
 pub(crate) mod recorded;
+pub(crate) mod reference;
 pub(crate) mod segments;
 pub(crate) mod topics;
 pub(crate) mod trajectory;

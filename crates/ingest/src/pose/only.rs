@@ -68,7 +68,7 @@ fn read(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
 }
 
 /// The losses of messages on these topics.
-fn of_topics(losses: &Losses, topics: &[&Topic]) -> Losses {
+pub(crate) fn of_topics(losses: &Losses, topics: &[&Topic]) -> Losses {
     let mut of_topics = Losses::default();
     for (loss, n) in losses.iter() {
         if topics.iter().any(|topic| loss.subject.topic.as_deref() == Some(&*topic.name)) {

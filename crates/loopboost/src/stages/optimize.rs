@@ -13,20 +13,22 @@ use dataset::{
 use model::{Detector, Model};
 use nalgebra::Matrix3;
 use optimize::{
-    JoinOutcome, Known, Proposal, Reason, Site, Solution, align_every_scan, close_loops,
+    Closure, JoinOutcome, Known, Proposal, Reason, Site, Solution, align_every_scan, close_loops,
     join_drives,
 };
 use register::{Drive, OdometryScan};
 use train::detector::{alignment_covariance, closure_covariance};
 
 use crate::drives::{
-    PosedScan, by_id, closure_row, evidence, matrix, posed_scans, registration_limits, scans_of,
-    upper_triangle,
+    PosedScan, RegisteredDrive, by_id, closure_row, evidence, matrix, posed_scans,
+    registration_limits, scans_of, upper_triangle,
 };
 use crate::findings::Findings;
+use crate::georeference::{Far, Georeference, Georeferenced};
 use crate::known_map::KnownMap;
 use crate::logs::LogFile;
 use crate::map_files::{Graph, is_same_drive, tum};
+use crate::references::{self, SiteReferences};
 use crate::run::{Done, Run, Task};
 use crate::scorer::Scorer;
 use crate::site_drives::SiteDrives;
@@ -40,6 +42,7 @@ use crate::summary::Summary;
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut task = run.task_of(Stage::Optimize)?;
     task.inputs.extend(KnownMap::inputs(run)?);
+    task.inputs.extend(references::inputs(run)?);
     let trained = trained_model(run, &mut task)?;
     run.task(&task, |provenance| optimize(run, trained.as_ref(), &provenance))
 }
@@ -99,9 +102,13 @@ fn optimize(run: &Run, trained: Option<&Model>, provenance: &Provenance) -> Resu
     for site in SiteDrives::of_run(run)? {
         let site = site?;
         let first = maps.closures.len();
-        let (solved, drives) = solve(run, &site, detector, &candidates);
+        let referenced = SiteReferences::read(run, &site)?;
+        let (solved, drives, made) = solve(run, &site, &referenced, detector, &candidates);
         let rows = site.rows();
-        maps.add(&rows, &site, &solved);
+        let numbers = maps.add(&rows, &site, &solved);
+        done.losses.merge(referenced.losses);
+        done.notes.extend(referenced.notes);
+        done.notes.extend(made.notes_of_map(&site, &numbers));
         let closures = Closures::of(&site, &maps.closures[first..]);
         for log in &site.logs {
             let scans = every_scan(run, log, &site, &drives, &solved)?;
@@ -113,8 +120,11 @@ fn optimize(run: &Run, trained: Option<&Model>, provenance: &Provenance) -> Resu
             done.summaries.push(closures.joined(&solved));
             done.notes.extend(join_notes(&site, &solved));
         }
+        done.notes.extend(made.notes);
+        done.summaries.extend(made.summaries);
     }
-    let provenance = Provenance { notes: done.notes.clone(), ..provenance.clone() };
+    let (losses, notes) = (done.losses.clone(), done.notes.clone());
+    let provenance = Provenance { losses, notes, ..provenance.clone() };
     done.outputs = write(run, &provenance, &maps, &trajectories)?;
     Ok(done)
 }
@@ -131,26 +141,31 @@ fn add_confidences(run: &Run, model: &Model, candidates: &mut [CandidateClosure]
     Ok(())
 }
 
-/// Closes the loops of each drive of a site by itself, and then joins those that share places.
+/// Closes the loops of each drive of a site by itself, then joins those that share places, and puts the maps
+/// into the frame of their references. Candidates whose places are far from each other by the references take no
+/// part.
 fn solve<'a>(
     run: &Run,
     site: &'a SiteDrives,
+    references: &SiteReferences,
     detector: &Detector,
     candidates: &[CandidateClosure],
-) -> (Site, Vec<Drive<'a>>) {
-    let finder = Proposals { candidates, found_with: run.detector(), detector };
+) -> (Site, Vec<Drive<'a>>, Georeferenced) {
+    let options = &run.config.optimize.references;
+    let georeference = Georeference { site, references, options, detector };
+    let drives: Vec<Drive<'a>> = site.drives.iter().map(RegisteredDrive::drive).collect();
+    let (near, far) = Far::split(candidates, site, &georeference.locate(&drives));
+    let finder = Proposals { candidates: &near, found_with: run.detector(), detector };
     let min_path_m = run.config.detection().min_path_m;
-    let (mut drives, mut solutions) = (Vec::new(), Vec::new());
-    for (k, registered) in site.drives.iter().enumerate() {
-        let drive = registered.drive();
+    let mut solutions = Vec::new();
+    for (k, (registered, drive)) in site.drives.iter().zip(&drives).enumerate() {
         solutions.push(match site.known_poses.get(k) {
             Some(poses) => known_solution(poses),
             None => {
                 let proposals = finder.among(&registered.rows);
-                close_loops(&drive, &proposals, detector, min_path_m)
+                close_loops(drive, &proposals, detector, min_path_m)
             }
         });
-        drives.push(drive);
     }
     let drive = Drive::joined(drives);
     let rows = site.rows();
@@ -159,8 +174,17 @@ fn solve<'a>(
         maps: site.known_groups(),
         closures: site.known_closures.iter().filter_map(|c| proposal(&by_id(&rows), c)).collect(),
     };
-    let solved = join_drives(&drive, &solutions, &known, &proposals, detector);
-    (solved, drive.split())
+    let mut solved = join_drives(&drive, &solutions, &known, &proposals, detector);
+    let mut made = georeference.place(&drive, &mut solved);
+    made.notes.extend(far.note(&site.site, detector.min_confidence));
+    let by_id = by_id(&rows);
+    let closures = &mut solved.solution.closures;
+    closures.extend(far.closures.iter().filter_map(|closure| {
+        let rejected = Some(Reason::FarByReferences);
+        Some(Closure { proposal: proposal(&by_id, closure)?, rejected })
+    }));
+    closures.sort_by_key(|closure| (closure.proposal.query, closure.proposal.reference));
+    (solved, drive.split(), made)
 }
 
 /// A drive of the known map. Its closures are those of the map.
@@ -408,8 +432,9 @@ fn interpolated_poses(
 }
 
 impl Maps {
-    /// Adds the drives of a site, whose rows are `rows`. Those of the known map are in its run.
-    fn add(&mut self, rows: &[RegisteredScan], site: &SiteDrives, solved: &Site) {
+    /// Adds the drives of a site, whose rows are `rows`. Those of the known map are in its run. Returns the number
+    /// of the map of each drive.
+    fn add(&mut self, rows: &[RegisteredScan], site: &SiteDrives, solved: &Site) -> Vec<u32> {
         let solution = &solved.solution;
         self.closures.extend(solution.closures.iter().map(|closure| JudgedClosure {
             closure: closure_row(rows, &closure.proposal),
@@ -437,6 +462,7 @@ impl Maps {
         }
         self.graph.add(rows, solution);
         self.n_maps = numbers.iter().map(|number| number + 1).fold(self.n_maps, u32::max);
+        numbers
     }
 
     /// The number of the map of each drive. A map with a drive of the known map keeps its number.
