@@ -4,7 +4,7 @@
 //! 1. The map is moved as a whole to where most references agree with it (`reference_fit.rs`).
 //! 2. It bends, within the errors of its odometry and its closures, so that it agrees with the references. Those
 //!    that contradict it are rejected, with graduated non-convexity.
-//! 3. If more than half of them are rejected, they contradict the map as a whole, and it stays as it was.
+//! 3. If half of them or more are rejected, they contradict the map as a whole, and it stays as it was.
 //!
 //! References state their errors, often too small. The scatter of all references is compared with what they
 //! state, and larger errors are used if it is larger. Consecutive fixes have nearly the same error, see
