@@ -284,7 +284,7 @@ fn contradicted(contradiction: &Contradiction) -> NoteKind {
     let Contradiction { n_references, median_m, stated_std_m, cause } = *contradiction;
     let found = match cause {
         Cause::Mirrored => {
-            "they fit if one of their axes is turned round: use x east and y north (ENU, REP 103), not north and east (NED)".to_owned()
+            "they fit if the axes x and y are exchanged, or one axis is reversed: use x east and y north (ENU, REP 103), not north and east (NED)".to_owned()
         }
         Cause::Scaled(factor) => format!(
             "they fit if the map is {factor:.3} times as large: check their unit, which is metres, and the scale of their projection"

@@ -48,9 +48,13 @@ fn parse(text: &str) -> Result<Vec<Surveyed>, String> {
         ));
     }
     let column = |name: &str| names.iter().position(|other| *other == name);
-    for (needed, either) in [("x_m", "x_m"), ("y_m", "y_m"), ("stamp_ns", "time_s")] {
+    for (needed, either, name) in [
+        ("x_m", "x_m", "`x_m`"),
+        ("y_m", "y_m", "`y_m`"),
+        ("stamp_ns", "time_s", "`stamp_ns` or `time_s`"),
+    ] {
         if column(needed).or(column(either)).is_none() {
-            return Err(format!(":{number}: no column `{needed}`; add it"));
+            return Err(format!(":{number}: no column {name}; add it"));
         }
     }
     let row = |(number, line): (usize, &str)| {

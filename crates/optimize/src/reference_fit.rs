@@ -21,7 +21,7 @@ pub struct Contradiction {
 /// What explains that references contradict a map.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Cause {
-    /// They fit if one of their axes is turned round, as with x north and y east.
+    /// They fit if they are mirrored: x and y are exchanged, or one axis is reversed.
     Mirrored,
     /// They fit if the map is larger by this factor.
     Scaled(f64),
@@ -171,7 +171,7 @@ impl Match {
         Self { at, measured: reference.measured, has_heading: reference.has_heading, std_m }
     }
 
-    /// With the y axis of the measured positions turned round.
+    /// With the y axis of the measured positions reversed.
     fn mirrored(&self) -> Self {
         let Pose2 { x_m, y_m, heading_rad } = self.measured;
         Self { measured: Pose2 { x_m, y_m: -y_m, heading_rad: -heading_rad }, ..*self }
