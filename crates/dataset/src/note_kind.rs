@@ -545,6 +545,13 @@ codes! {
             /// Median distance of their places by the references \[m\].
             median_m: f64,
         } => "site `{site}`: {} rejected, because the references say that the places are not the same (median distance {median_m:.0} m): the places look alike, or the references of a log are in another frame", count(*n_closures, "possible closure");
+        /// Rows of a file of references are of logs that the run does not have.
+        Info "references_of_other_logs" ReferencesOfOtherLogs {
+            /// Rows.
+            n_references: u64,
+            /// The first of these logs.
+            example: String,
+        } => "{} not used: of logs that this run does not have, such as `{example}`", count(*n_references, "reference");
         /// The map of an earlier run has no frame of references.
         Warning "earlier_map_without_references" EarlierMapWithoutReferences {
             /// References.

@@ -78,8 +78,12 @@ fn contradicts(a: &Vote, b: &Vote) -> bool {
     a.map != b.map || CONTRADICTS_M < off_m || CONTRADICTS_DEG.to_radians() < off_rad
 }
 
+/// A confidence is never certain: differences of log odds stay finite.
+const LEAST_DOUBT: f64 = 1e-12;
+
 /// The log odds of a confidence.
 fn log_odds(confidence: f64) -> f64 {
+    let confidence = confidence.clamp(LEAST_DOUBT, 1.0 - LEAST_DOUBT);
     libm::log(confidence / (1.0 - confidence))
 }
 

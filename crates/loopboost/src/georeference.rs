@@ -214,7 +214,7 @@ impl Georeference<'_> {
             let residuals: Vec<Residual> = of_source.iter().map(|(_, r)| **r).collect();
             let agreement = Agreement::of(&residuals);
             // Others place the map.
-            if agreement.n_used <= agreement.n_outliers && 1 < residuals.len() {
+            if agreement.n_used <= agreement.n_outliers {
                 let references: Vec<Reference> =
                     of_source.iter().map(|(r, _)| r.reference).collect();
                 made.notes.push(Note::new(outvoted(&references, &residuals), subject));

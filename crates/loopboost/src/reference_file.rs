@@ -33,19 +33,28 @@ pub(crate) fn read(path: &Path) -> Result<Vec<Surveyed>> {
 
 /// The error starts with the number of the line.
 fn parse(text: &str) -> Result<Vec<Surveyed>, String> {
+    // Spreadsheets write a byte order mark.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     let mut lines = (1..).zip(text.lines()).filter(|(_, line)| {
         let line = line.trim();
         !line.is_empty() && !line.starts_with('#')
     });
-    let (number, header) = lines.next().ok_or_else(|| {
-        format!(" is empty; expected a header with columns of `{}`", COLUMNS.join("`, `"))
-    })?;
-    let names: Vec<&str> = header.split(',').map(str::trim).collect();
-    if let Some(unknown) = names.iter().find(|name| !COLUMNS.contains(name)) {
-        return Err(format!(
-            ":{number}: unknown column `{unknown}`, expected columns of `{}`",
-            COLUMNS.join("`, `")
-        ));
+    let columns = COLUMNS.join("`, `");
+    let (number, header) = lines
+        .next()
+        .ok_or_else(|| format!(" is empty; expected a header with columns of `{columns}`"))?;
+    let header = cells_of(number, header)?;
+    let mut names: Vec<&str> = Vec::new();
+    for name in &header {
+        if !COLUMNS.contains(&name) {
+            return Err(format!(
+                ":{number}: unknown column `{name}`, expected columns of `{columns}`"
+            ));
+        }
+        if names.contains(&name) {
+            return Err(format!(":{number}: two columns `{name}`; remove one"));
+        }
+        names.push(name);
     }
     let column = |name: &str| names.iter().position(|other| *other == name);
     for (needed, either, name) in [
@@ -58,13 +67,13 @@ fn parse(text: &str) -> Result<Vec<Surveyed>, String> {
         }
     }
     let row = |(number, line): (usize, &str)| {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        let cells = cells_of(number, line)?;
         if cells.len() != names.len() {
             let (found, expected) = (cells.len(), names.len());
             return Err(format!(":{number}: {found} cells, expected {expected} as in the header"));
         }
         // An empty cell is unknown.
-        let cell = |name: &str| column(name).map(|k| cells[k]).filter(|cell| !cell.is_empty());
+        let cell = |name: &str| column(name).map(|k| &cells[k]).filter(|cell| !cell.is_empty());
         let value = |name: &str| -> Result<Option<f64>, String> {
             let Some(cell) = cell(name) else { return Ok(None) };
             let value = cell.parse::<f64>().ok().filter(|value| value.is_finite());
@@ -86,6 +95,9 @@ fn parse(text: &str) -> Result<Vec<Surveyed>, String> {
             Some(cell) => cell.parse::<i64>().map_err(|_| {
                 format!(":{number}: `stamp_ns` is `{cell}`, expected a whole number of nanoseconds")
             })?,
+            None if column("time_s").is_none() => {
+                return Err(format!(":{number}: `stamp_ns` is empty, expected a whole number"));
+            }
             None => (needed("time_s")? * 1e9).round() as i64,
         };
         let heading_rad = value("heading_rad")?;
@@ -102,6 +114,14 @@ fn parse(text: &str) -> Result<Vec<Surveyed>, String> {
     lines.map(row).collect()
 }
 
+/// The cells of a line, without quotes and the spaces around them.
+fn cells_of(number: usize, line: &str) -> Result<csv::StringRecord, String> {
+    let mut options = csv::ReaderBuilder::new();
+    let mut reader = options.has_headers(false).trim(csv::Trim::All).from_reader(line.as_bytes());
+    let cells = reader.records().next().transpose();
+    Ok(cells.map_err(|error| format!(":{number}: {error}"))?.unwrap_or_default())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -115,6 +135,8 @@ mod tests {
         assert!(!rows[0].has_heading && rows[1].has_heading);
         assert_eq!((rows[1].pose.heading_rad, rows[1].log.as_deref()), (0.5, Some("a")));
         assert_eq!((rows[1].std_m, rows[1].std_rad), (None, None));
+        let rows = parse("\u{feff}log,stamp_ns,x_m,y_m\r\n\"day, 1\",7,0,0\r\n").unwrap();
+        assert_eq!((rows[0].log.as_deref(), rows[0].stamp_ns), (Some("day, 1"), 7));
         let rows = parse("time_s,x_m,y_m,std_m\n1.5,0,0,0.1").unwrap();
         assert_eq!((rows[0].stamp_ns, rows[0].std_m), (1_500_000_000, Some(0.1)));
     }
@@ -125,6 +147,8 @@ mod tests {
             ("", " is empty"),
             ("x_m,y_m\n", ":1: no column `stamp_ns`"),
             ("stamp_ns,x_m,y_m,colour\n", ":1: unknown column `colour`"),
+            ("stamp_ns,x_m,y_m,x_m\n", ":1: two columns `x_m`"),
+            ("stamp_ns,x_m,y_m\n,2,3\n", ":2: `stamp_ns` is empty"),
             ("stamp_ns,x_m,y_m\n1,2\n", ":2: 2 cells, expected 3"),
             ("stamp_ns,x_m,y_m\n\n1.5,2,3\n", ":3: `stamp_ns` is `1.5`"),
             ("stamp_ns,x_m,y_m\n1,nan,3\n", ":2: `x_m` is `nan`"),

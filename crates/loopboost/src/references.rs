@@ -24,6 +24,8 @@ use crate::stages::ingest::open;
 const FIX_STD_M: f64 = 3.3;
 /// Standard deviation that is added to all \[m\]: the odometry between two scans is interpolated.
 const LEAST_STD_M: f64 = 0.01;
+/// The same for headings \[rad\].
+const LEAST_STD_RAD: f64 = 1e-3;
 /// A larger standard deviation of a heading means that it is not known \[rad\].
 const MAX_HEADING_STD_RAD: f64 = 1.0;
 
@@ -173,6 +175,7 @@ impl SiteReferences {
                 path.display()
             )));
         }
+        self.note_other_logs(run, log, &rows, &subject)?;
         let is_wanted = |row: &&Surveyed| row.log.as_deref().is_none_or(|name| *name == *log.name);
         let measured: Vec<Measured> = rows
             .iter()
@@ -188,6 +191,31 @@ impl SiteReferences {
         let lidar = run.config.for_log(&log.name)?.lidar.mount;
         let base_from_lidar = lidar.map_or(Pose2::default(), |mount| mount.pose());
         Ok(Some((Values::Poses(measured), base_from_lidar.inverse() * mount)))
+    }
+
+    /// Says once per file that rows are of logs that the run does not have.
+    fn note_other_logs(
+        &mut self,
+        run: &Run,
+        log: &LogFile,
+        rows: &[Surveyed],
+        subject: &Subject,
+    ) -> Result<()> {
+        let logs = run.ingested_logs()?;
+        if logs.first().is_none_or(|first| first.name != log.name) {
+            return Ok(());
+        }
+        let is_other = |name: &&str| logs.iter().all(|log| *log.name != **name);
+        let others: Vec<&str> =
+            rows.iter().filter_map(|row| row.log.as_deref()).filter(is_other).collect();
+        if let Some(first) = others.first() {
+            let kind = NoteKind::ReferencesOfOtherLogs {
+                n_references: others.len() as u64,
+                example: (*first).to_owned(),
+            };
+            self.notes.push(Note::new(kind, subject.clone()));
+        }
+        Ok(())
     }
 
     /// Adds the references of a source to the drives of a log.
@@ -330,6 +358,12 @@ fn of_poses(poses: &[StampedPose], options: &ReferenceOptions, log: &str) -> Res
 fn of_row(row: &Surveyed, options: &ReferenceOptions, file: &str) -> Result<Measured> {
     let std_rad = row.std_rad.or(options.std_deg.map(f64::to_radians));
     let std_rad = std_rad.filter(|_| row.has_heading);
+    if row.has_heading && std_rad.is_none() {
+        return Err(usage(format!(
+            "{file}: the row of {} ns has a heading, but no `std_rad`; add the column, set `std_deg` in the entry of `optimize.references`, or remove the heading",
+            row.stamp_ns
+        )));
+    }
     let covariance = of_stds(None, row.std_m.or(options.std_m), std_rad)
         .with_context(|| {
             format!(
@@ -363,13 +397,16 @@ fn of_stds(stated: Option<[f64; 6]>, std_m: Option<f64>, std_rad: Option<f64>) -
 
 /// Whether the position of a covariance is known, and the whole is a covariance.
 fn is_covariance(covariance: &[f64; 6]) -> bool {
-    let [xx, _, _, yy, ..] = *covariance;
-    0.0 < xx && 0.0 < yy && matrix(*covariance).cholesky().is_some()
+    let [xx, xy, _, yy, _, hh] = *covariance;
+    // Without a variance, the heading is not known.
+    let known = if 0.0 < hh { *covariance } else { [xx, xy, 0.0, yy, 0.0, 1.0] };
+    0.0 < xx && 0.0 < yy && matrix(known).cholesky().is_some()
 }
 
 fn with_least(covariance: [f64; 6]) -> Matrix3<f64> {
     let least = LEAST_STD_M * LEAST_STD_M;
-    matrix(covariance) + Matrix3::from_diagonal(&nalgebra::Vector3::new(least, least, 0.0))
+    let of_heading = LEAST_STD_RAD * LEAST_STD_RAD;
+    matrix(covariance) + Matrix3::from_diagonal(&nalgebra::Vector3::new(least, least, of_heading))
 }
 
 /// The last registered scan at or before a time; `None` outside of the drive.
@@ -415,14 +452,15 @@ fn outside(site: &SiteDrives, log: &LogFile, stamps_ns: &[i64]) -> String {
 mod tests {
     use super::*;
 
-    /// 0.01 m is added to the standard deviation of a position.
+    /// The variances of 0.01 m and 0.001 rad are added.
     #[test]
     fn stated_errors_are_replaced_by_those_of_the_options() {
         let stated = Some([0.25, 0.1, 0.01, 0.36, 0.02, 0.04]);
         let kept = of_stds(stated, None, None).unwrap();
         assert!(kept.has_heading);
         assert!((kept.covariance[(0, 0)] - 0.2501).abs() < 1e-12);
-        assert_eq!((kept.covariance[(0, 1)], kept.covariance[(2, 2)]), (0.1, 0.04));
+        assert_eq!(kept.covariance[(0, 1)], 0.1);
+        assert!((kept.covariance[(2, 2)] - 0.040_001).abs() < 1e-12);
         let replaced = of_stds(stated, Some(2.0), None).unwrap();
         assert!((replaced.covariance[(1, 1)] - 4.0001).abs() < 1e-12);
         assert_eq!((replaced.covariance[(0, 1)], replaced.covariance[(0, 2)]), (0.0, 0.0));
@@ -438,6 +476,9 @@ mod tests {
     fn zeros_are_not_a_covariance() {
         assert!(!is_covariance(&[0.0; 6]));
         assert!(is_covariance(&[0.25, 0.1, 0.01, 0.36, 0.02, 0.04]));
+        // Without a heading.
+        assert!(is_covariance(&[0.25, 0.1, 0.0, 0.36, 0.0, 0.0]));
+        assert!(is_covariance(&[0.25, 0.1, 0.0, 0.36, 0.0, -1.0]));
         assert!(!is_covariance(&[0.25, 0.5, 0.0, 0.25, 0.0, 0.04]));
     }
 }

@@ -53,6 +53,8 @@ pub(crate) struct Fitted<'a> {
 /// References that hypotheses are made of, and those that they are judged by. They are spread evenly.
 const N_HYPOTHESES: usize = 48;
 const N_JUDGED: usize = 256;
+/// Consecutive matches closer than this are one, by the poses of the map \[m\].
+const STOP_M: f64 = 0.5;
 /// An explanation must reduce the median distance to this share of it.
 const EXPLAINED_SHARE: f64 = 0.25;
 /// A delay must leave this share of the references within their drive.
@@ -195,8 +197,9 @@ impl Fit {
 
 /// Where most matches fit, with or without a change of the scale of the map.
 fn fit(matches: &[Match], is_scaled: bool) -> Fit {
-    let some = spread(matches, N_HYPOTHESES);
-    let judged = spread(matches, N_JUDGED);
+    let matches = without_stops(matches);
+    let some = spread(&matches, N_HYPOTHESES);
+    let judged = spread(&matches, N_JUDGED);
     let of_poses =
         some.iter().filter(|m| m.has_heading).map(|m| (m.measured * m.at.inverse(), 1.0));
     let pairs =
@@ -239,6 +242,18 @@ fn extent_m(matches: &[Match]) -> f64 {
     let [x_m, y_m] = [mean(&|m| m.measured.x_m), mean(&|m| m.measured.y_m)];
     let squared = |m: &Match| (m.measured.x_m - x_m).powi(2) + (m.measured.y_m - y_m).powi(2);
     mean(&squared).sqrt()
+}
+
+/// The matches without those of a robot that stands still, which would outvote the others: every direction of the map
+/// fits them.
+fn without_stops(matches: &[Match]) -> Vec<Match> {
+    let mut moving: Vec<Match> = Vec::new();
+    for of_point in matches {
+        if moving.last().is_none_or(|last| STOP_M <= last.at.distance_m(&of_point.at)) {
+            moving.push(*of_point);
+        }
+    }
+    moving
 }
 
 /// At most `n` of some matches, at even distances.

@@ -141,7 +141,9 @@ pub fn place_by_references(
         .collect();
     variances.sort_by(f64::total_cmp);
     let single_std_m = scatter * variances[variances.len() / 2].sqrt();
-    let covariances = map.covariances(&poses, references, &is_kept, scatter, detector);
+    let Some(covariances) = map.covariances(&poses, references, &is_kept, scatter, detector) else {
+        return Placement::Undecided { heading_std_rad };
+    };
     Placement::Placed(Placed {
         poses,
         covariances,
@@ -328,7 +330,8 @@ impl ReferencedMap<'_> {
         Fitted { drive: self.drive, references, poses: self.poses, stamps_ns: self.stamps_ns }
     }
 
-    /// Covariances of all scans of the map that move, from a graph with a vertex per scan.
+    /// Covariances of all scans of the map that move, from a graph with a vertex per scan. `None` if the graph does
+    /// not determine them.
     fn covariances(
         &self,
         poses: &[Pose2],
@@ -336,7 +339,7 @@ impl ReferencedMap<'_> {
         is_kept: &[bool],
         scatter: f64,
         detector: &Detector,
-    ) -> Vec<Matrix3<f64>> {
+    ) -> Option<Vec<Matrix3<f64>>> {
         let frame = frame_of(references);
         let scans: Vec<usize> = (0..poses.len()).filter(|&scan| self.moves(scan)).collect();
         let vertex = |scan: usize| scans.binary_search(&scan).map_or(0, |k| k + 1);
@@ -369,11 +372,10 @@ impl ReferencedMap<'_> {
             Edge { information: edge.information * share, ..edge }
         }));
         let mut all = vec![Matrix3::zeros(); poses.len()];
-        if let Some(found) = covariances(&edges, &vertices) {
-            for (&scan, covariance) in scans.iter().zip(&found[1..]) {
-                all[scan] = *covariance;
-            }
+        let found = covariances(&edges, &vertices)?;
+        for (&scan, covariance) in scans.iter().zip(&found[1..]) {
+            all[scan] = *covariance;
         }
-        all
+        Some(all)
     }
 }

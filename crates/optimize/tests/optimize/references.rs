@@ -326,3 +326,19 @@ fn the_weight_of_a_fix_is_one_over_the_sum_of_its_correlations() {
     assert_eq!(n_correlated(&stamps_ns[..3], 0.0), [1.0; 3]);
     assert!(n_correlated(&[], 60.0).is_empty());
 }
+
+/// A robot that stands still for longer than it drives. Any direction of the map fits the fixes of the stop.
+#[test]
+fn a_long_stop_does_not_decide_the_direction() {
+    let mut made = Made::new(0.05);
+    let [stop, n] = [300, 1500];
+    let (truth, odometry) = (made.truth[stop], made.odometry[stop]);
+    made.truth.splice(stop..stop, vec![truth; n]);
+    made.odometry.splice(stop..stop, vec![odometry; n]);
+    made.scans = vec![Scan::default(); made.truth.len()];
+    made.stamps_ns = (0..made.truth.len() as i64).map(|k| k * 500_000_000).collect();
+    let placed = made.placed(&made.fixes(0.3, Pose2::default()));
+    let last = made.truth.len() - 1;
+    let error_m = placed.poses[last].distance_m(&made.truth[last]);
+    assert!(error_m < 1.0, "{error_m}");
+}
