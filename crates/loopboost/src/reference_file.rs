@@ -39,33 +39,12 @@ fn parse(text: &str) -> Result<Vec<Surveyed>, String> {
         let line = line.trim();
         !line.is_empty() && !line.starts_with('#')
     });
-    let columns = COLUMNS.join("`, `");
-    let (number, header) = lines
-        .next()
-        .ok_or_else(|| format!(" is empty; expected a header with columns of `{columns}`"))?;
+    let (number, header) = lines.next().ok_or_else(|| {
+        format!(" is empty; expected a header with columns of `{}`", COLUMNS.join("`, `"))
+    })?;
     let header = cells_of(number, header)?;
-    let mut names: Vec<&str> = Vec::new();
-    for name in &header {
-        if !COLUMNS.contains(&name) {
-            return Err(format!(
-                ":{number}: unknown column `{name}`, expected columns of `{columns}`"
-            ));
-        }
-        if names.contains(&name) {
-            return Err(format!(":{number}: two columns `{name}`; remove one"));
-        }
-        names.push(name);
-    }
+    let names = names_of(number, &header)?;
     let column = |name: &str| names.iter().position(|other| *other == name);
-    for (needed, either, name) in [
-        ("x_m", "x_m", "`x_m`"),
-        ("y_m", "y_m", "`y_m`"),
-        ("stamp_ns", "time_s", "`stamp_ns` or `time_s`"),
-    ] {
-        if column(needed).or(column(either)).is_none() {
-            return Err(format!(":{number}: no column {name}; add it"));
-        }
-    }
     let row = |(number, line): (usize, &str)| {
         let cells = cells_of(number, line)?;
         if cells.len() != names.len() {
@@ -112,6 +91,29 @@ fn parse(text: &str) -> Result<Vec<Surveyed>, String> {
         })
     };
     lines.map(row).collect()
+}
+
+/// The names of the columns, in the order of the file.
+fn names_of(number: usize, header: &csv::StringRecord) -> Result<Vec<&str>, String> {
+    let mut names: Vec<&str> = Vec::new();
+    for name in header {
+        if !COLUMNS.contains(&name) {
+            let columns = COLUMNS.join("`, `");
+            return Err(format!(
+                ":{number}: unknown column `{name}`, expected columns of `{columns}`"
+            ));
+        }
+        if names.contains(&name) {
+            return Err(format!(":{number}: two columns `{name}`; remove one"));
+        }
+        names.push(name);
+    }
+    for either in [&["x_m"][..], &["y_m"], &["stamp_ns", "time_s"]] {
+        if !either.iter().any(|name| names.contains(name)) {
+            return Err(format!(":{number}: no column `{}`; add it", either.join("` or `")));
+        }
+    }
+    Ok(names)
 }
 
 /// The cells of a line, without quotes and the spaces around them.
