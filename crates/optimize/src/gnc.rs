@@ -81,28 +81,28 @@ pub(crate) fn reject_outliers(
     Robust { poses: optimize(&edges, start), is_kept }
 }
 
-/// The graph of the closures that have a weight.
+/// The graph of the trusted edges, and of the doubtful ones that have a weight.
 struct Graduated<'a> {
-    odometry: &'a [Edge],
-    closures: &'a [Edge],
-    /// The closures in the graph, ascending.
+    trusted: &'a [Edge],
+    doubtful: &'a [Edge],
+    /// The doubtful edges in the graph, ascending.
     members: Vec<usize>,
     solver: Solver,
 }
 
-/// Closures without weight make each step slower. They are taken out when they are this share of all.
+/// Edges without weight make each step slower. They are taken out when they are this share of all.
 const MAX_IDLE_SHARE: f64 = 0.1;
 /// A step that reduces the cost by a smaller share is the last one of a round.
 const CONVERGED: f64 = 1e-4;
 
 impl<'a> Graduated<'a> {
-    fn new(odometry: &'a [Edge], closures: &'a [Edge], n_poses: usize) -> Self {
-        let members: Vec<usize> = (0..closures.len()).collect();
-        let edges = odometry.iter().chain(closures).copied().collect();
-        Self { odometry, closures, members, solver: Solver::new(n_poses, edges) }
+    fn new(trusted: &'a [Edge], doubtful: &'a [Edge], n_poses: usize) -> Self {
+        let members: Vec<usize> = (0..doubtful.len()).collect();
+        let edges = trusted.iter().chain(doubtful).copied().collect();
+        Self { trusted, doubtful, members, solver: Solver::new(n_poses, edges) }
     }
 
-    /// Optimizes the poses with these weights of the closures.
+    /// Optimizes the poses with these weights of the doubtful edges.
     fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2]) {
         let with_weight: Vec<usize> = (0..weights.len()).filter(|&k| 0.0 < weights[k]).collect();
         let is_member = |k: &usize| self.members.binary_search(k).is_ok();
@@ -110,18 +110,18 @@ impl<'a> Graduated<'a> {
         if MAX_IDLE_SHARE * (self.members.len() as f64) < n_idle as f64
             || !with_weight.iter().all(is_member)
         {
-            let closures = with_weight.iter().map(|&k| &self.closures[k]);
-            let edges = self.odometry.iter().chain(closures).copied().collect();
+            let doubtful = with_weight.iter().map(|&k| &self.doubtful[k]);
+            let edges = self.trusted.iter().chain(doubtful).copied().collect();
             self.solver = Solver::new(poses.len(), edges);
             self.members = with_weight;
         }
-        let mut of_edges = vec![1.0; self.odometry.len()];
+        let mut of_edges = vec![1.0; self.trusted.len()];
         of_edges.extend(self.members.iter().map(|&k| weights[k]));
         self.solver.optimize(&of_edges, poses, CONVERGED);
     }
 }
 
-/// The weight of a closure at a control parameter mu, with c^2 = `max_chi2`: 1 below
+/// The weight of an edge at a control parameter mu, with c^2 = `max_chi2`: 1 below
 /// mu / (mu + 1) c^2, 0 above (mu + 1) / mu c^2, and sqrt(c^2 mu (mu + 1) / chi2) - mu between.
 fn truncated_weight(chi2: f64, control: f64, max_chi2: f64) -> f64 {
     if chi2 <= control / (control + 1.0) * max_chi2 {

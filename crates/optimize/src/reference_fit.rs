@@ -267,3 +267,29 @@ fn median(values: &mut [f64]) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The robot stands still for nearly all measurements. Every direction of the map fits those.
+    #[test]
+    fn a_stop_does_not_decide_the_direction() {
+        let map_from_before = Pose2 { x_m: 40.0, y_m: -7.0, heading_rad: 1.2 };
+        let of_point = |x_m: f64, y_m: f64, error_m: f64| {
+            let at = Pose2 { x_m, y_m, ..Pose2::default() };
+            let measured = map_from_before * at;
+            let measured = Pose2 { y_m: measured.y_m + error_m, heading_rad: 0.0, ..measured };
+            Match { at, measured, has_heading: false, std_m: 0.1 }
+        };
+        // The pose of the stop is known to millimetres, so that two measurements of it have a direction.
+        let of_stop = |k: i32| {
+            let [x_m, y_m] = [k % 5, k % 3].map(|step| 0.002 * f64::from(step));
+            of_point(x_m, y_m, 0.01 * f64::from(k % 7 - 3))
+        };
+        let mut matches: Vec<Match> = (0..3000).map(of_stop).collect();
+        matches.extend((1..=30).map(|k| of_point(2.0 * f64::from(k), 0.0, 0.0)));
+        let found = fit(&matches, false).map_from_before;
+        assert!(wrap_angle(found.heading_rad - 1.2).abs() < 0.01, "{found:?}");
+    }
+}

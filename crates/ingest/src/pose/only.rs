@@ -35,23 +35,11 @@ fn read(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
     let lidar = drive.topic(&options.lidar.topic, "ingest.lidar.topic", &LIDAR_TYPES)?;
     let beam = Beam::choose(&drive, &lidar, &options.lidar)?;
     let reader = Reader { drive: &drive, lidar: &lidar, pose_topics: &pose_topics, beam, options };
-    let (mut motion, mut losses) = (MotionReadings::default(), Losses::default());
+    let mut motion = MotionReadings::default();
     if let PoseTopics::File(_, poses) = &topics {
         motion.poses = poses.clone();
     }
-    let pieces = drive.pieces_with(&pose_topics);
-    for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
-        let decoded: Vec<Decoded> = window
-            .par_iter()
-            .map_init(Buffer::default, |buffer, piece| reader.decode(piece, Part::Motion, buffer))
-            .collect();
-        for mut piece in decoded {
-            motion.take_transforms(&mut piece.motion);
-            motion.prune_transforms(pose);
-            motion.extend(piece.motion);
-            losses.merge(piece.losses);
-        }
-    }
+    let losses = read_motion(&reader, &mut motion, |motion| motion.prune_transforms(pose));
     let mut losses = of_topics(&losses, &pose_topics);
     let mut notes: Vec<_> = pose_topics.iter().flat_map(|topic| topic.notes.clone()).collect();
     let is_own_frame = pose.is_own_frame() || (motion.has_fixes() && pose.origin.is_none());
@@ -65,6 +53,29 @@ fn read(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
     };
     let trajectory = trajectory::trajectory(motion, &source, &mut losses, &mut notes)?;
     Ok(Ingested { trajectory, is_own_frame, losses, notes, ..Ingested::default() })
+}
+
+/// Adds all messages of the pose topics of a reader. `prune` removes what is not needed, after each piece of a file.
+pub(crate) fn read_motion(
+    reader: &Reader<'_>,
+    motion: &mut MotionReadings,
+    prune: impl Fn(&mut MotionReadings),
+) -> Losses {
+    let mut losses = Losses::default();
+    let pieces = reader.drive.pieces_with(reader.pose_topics);
+    for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
+        let decoded: Vec<Decoded> = window
+            .par_iter()
+            .map_init(Buffer::default, |buffer, piece| reader.decode(piece, Part::Motion, buffer))
+            .collect();
+        for mut piece in decoded {
+            motion.take_transforms(&mut piece.motion);
+            motion.extend(piece.motion);
+            prune(motion);
+            losses.merge(piece.losses);
+        }
+    }
+    losses
 }
 
 /// The losses of messages on these topics.

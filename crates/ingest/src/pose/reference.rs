@@ -4,21 +4,19 @@
 use dataset::{Losses, Note, Pose2, StampedPose};
 use messages::{MessageType, NavSatFix, read_frame_ids};
 use nalgebra::Isometry3;
-use rayon::prelude::*;
 
 use crate::drive::topic::{Drive, FilePiece, Topic};
-use crate::drive::window::{PIECES_PER_THREAD, Part};
 use crate::error::IngestError;
 use crate::mcap::chunk::{self, Buffer};
 use crate::mcap::log::Log;
 use crate::options::{LidarOptions, Options};
 use crate::pose::gnss;
-use crate::pose::only::of_topics;
+use crate::pose::only::{of_topics, read_motion};
 use crate::pose::readings::MotionReadings;
 use crate::pose::recorded::planar;
 use crate::pose_options::{Origin, PlanarPose, PoseOptions};
 use crate::scan::beam::Beam;
-use crate::scan::decode::{Decoded, Reader};
+use crate::scan::decode::Reader;
 use crate::stamp::Stamp;
 use crate::types::{FRAME_TYPES, LIDAR_TYPES, POSE_TYPES};
 
@@ -133,22 +131,12 @@ fn read(
     let beam = Beam::choose(&drive, &lidar, lidar_options)?;
     let reader =
         Reader { drive: &drive, lidar: &lidar, pose_topics: &topics, beam, options: &options };
-    let (mut motion, mut losses) = (MotionReadings::default(), Losses::default());
-    let pieces = drive.pieces_with(&topics);
-    for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
-        let decoded: Vec<Decoded> = window
-            .par_iter()
-            .map_init(Buffer::default, |buffer, piece| reader.decode(piece, Part::Motion, buffer))
-            .collect();
-        for mut piece in decoded {
-            motion.take_transforms(&mut piece.motion);
-            motion.extend(piece.motion);
-            losses.merge(piece.losses);
-        }
+    let mut motion = MotionReadings::default();
+    let losses = read_motion(&reader, &mut motion, |motion| {
         if let (Some(lidar), Some(point)) = (&lidar_frame, motion.frame_names.first()) {
             motion.transforms.prune(lidar, &point);
         }
-    }
+    });
     let mut losses = of_topics(&losses, &[&topic]);
     losses.merge(topic.losses.clone());
     let base_from_lidar = lidar_options.mount.map_or(Pose2::default(), |mount| mount.pose());

@@ -327,9 +327,9 @@ fn the_weight_of_a_fix_is_one_over_the_sum_of_its_correlations() {
     assert!(n_correlated(&[], 60.0).is_empty());
 }
 
-/// A robot that stands still for longer than it drives. Any direction of the map fits the fixes of the stop.
+/// A robot that stands still for longer than it drives.
 #[test]
-fn a_long_stop_does_not_decide_the_direction() {
+fn a_drive_with_a_long_stop_is_placed() {
     let mut made = Made::new(0.05);
     let [stop, n] = [300, 1500];
     let (truth, odometry) = (made.truth[stop], made.odometry[stop]);
