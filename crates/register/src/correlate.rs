@@ -66,8 +66,19 @@ impl BlurredMap {
         }
     }
 
+    /// A position in squares from the lower corner.
+    #[inline]
+    fn in_squares(&self, p: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|axis| (p[axis] - self.corner_m[axis]) / self.square_m)
+    }
+
     fn square(&self, p: [f64; 2]) -> Option<[usize; 2]> {
-        let [a, b] = [0, 1].map(|axis| (p[axis] - self.corner_m[axis]) / self.square_m);
+        self.containing(self.in_squares(p))
+    }
+
+    /// The square that contains a position in squares.
+    #[inline]
+    fn containing(&self, [a, b]: [f64; 2]) -> Option<[usize; 2]> {
         let is_inside =
             0.0 <= a && 0.0 <= b && a < self.n_squares[0] as f64 && b < self.n_squares[1] as f64;
         is_inside.then_some([a as usize, b as usize])
@@ -76,7 +87,13 @@ impl BlurredMap {
     /// The value at a position. 0 outside the map.
     #[inline]
     pub fn at(&self, p: [f64; 2]) -> f32 {
-        self.square(p).map_or(0.0, |[a, b]| self.values[a * self.n_squares[1] + b])
+        self.value(self.in_squares(p))
+    }
+
+    /// The value at a position in squares.
+    #[inline]
+    fn value(&self, p: [f64; 2]) -> f32 {
+        self.containing(p).map_or(0.0, |[a, b]| self.values[a * self.n_squares[1] + b])
     }
 }
 
@@ -146,14 +163,15 @@ pub fn search(
         let heading_rad = window.centre.heading_rad + turn as f64 * window.step_rad;
         let motion = Motion::new(&Pose2 { x_m: 0.0, y_m: 0.0, heading_rad });
         turned.clear();
-        turned.extend(points.positions_m.iter().map(|&p| motion.direction(p)));
+        turned.extend(points.positions_m.iter().map(|&p| map.in_squares(motion.direction(p))));
         let off_rad = wrap_angle(heading_rad - preference.pose.heading_rad);
         for a in -n..=n {
             let x_m = window.centre.x_m + a as f64 * window.step_m;
             for b in -n..=n {
                 let y_m = window.centre.y_m + b as f64 * window.step_m;
+                let [dx, dy] = [x_m, y_m].map(|v| v / map.square_m);
                 let sum: f64 =
-                    turned.iter().map(|p| f64::from(map.at([p[0] + x_m, p[1] + y_m]))).sum();
+                    turned.iter().map(|p| f64::from(map.value([p[0] + dx, p[1] + dy]))).sum();
                 let (dx, dy) = (x_m - preference.pose.x_m, y_m - preference.pose.y_m);
                 let score = sum / points.len() as f64
                     - preference.per_m2 * (dx * dx + dy * dy)

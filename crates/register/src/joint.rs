@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::align::discount_normals;
 use crate::points::{Motion, Points};
 use crate::sparse::BlockSystem;
-use crate::target::Target;
+use crate::target::{AlongScan, Target};
 
 /// How scans are aligned jointly.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -254,11 +254,12 @@ fn pair_term(source: &Points, target: &Target, target_from_source: &Pose2, gates
     let motion = Motion::new(target_from_source);
     let [mut xx, mut xy, mut xh, mut yy, mut yh, mut hh] = [0.0; 6];
     let [mut gx, mut gy, mut gh] = [0.0; 3];
+    let mut searches = AlongScan::new(target);
     for (&q, normal) in source.positions_m.iter().zip(&source.normals) {
         let Some(normal) = *normal else { continue };
         let turned = motion.direction(q);
         let moved = [turned[0] + target_from_source.x_m, turned[1] + target_from_source.y_m];
-        let Some(partner) = target.nearest(moved, gates.gate_m) else { continue };
+        let Some(partner) = searches.nearest(moved, gates.gate_m) else { continue };
         let Some(n) = target.points().normals[partner] else { continue };
         let m = motion.direction(normal);
         if m[0] * n[0] + m[1] * n[1] < MIN_NORMAL_COS {

@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use dataset::Pose2;
 use model::OdometryNoise;
 use nalgebra::Matrix3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::align::{AlignOptions, Alignment, Prior, Weakness, align, near_share};
@@ -308,8 +309,10 @@ impl ScanMatcher {
         let share_before = near_share(points, target, &prior.pose, options.first_gate_m);
         let others =
             MORE_STARTS.map(|[x_m, y_m, heading_rad]| prior.pose * Pose2 { x_m, y_m, heading_rad });
-        for other in [start].into_iter().chain(&others) {
-            let aligned = align(points, target, other, loose, options);
+        let starts: Vec<&Pose2> = [start].into_iter().chain(&others).collect();
+        let from = |start: &&Pose2| align(points, target, start, loose, options);
+        let all: Vec<Alignment> = starts.par_iter().map(from).collect();
+        for aligned in all {
             let gain = aligned.near_share - best.near_share;
             let needed = MIN_GAIN * (1.0 + libm::log1p(prior.chi2(&aligned.target_from_source)));
             if needed < gain && share_before < aligned.near_share {

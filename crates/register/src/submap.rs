@@ -1,5 +1,7 @@
 //! Submaps: which squares around a node are occupied, free or unknown.
 
+use std::ops::Range;
+
 use dataset::{Pose2, Scan};
 use serde::{Deserialize, Serialize};
 
@@ -84,8 +86,10 @@ impl Submap {
         let mut nearest_m = vec![f64::INFINITY; sectors(options)];
         for (member, number) in members.iter().zip(0..) {
             count_hits(member, number, options, &mut counts.hits, &mut last_hit);
+        }
+        for member in members {
             nearest_returns(member.scan, options, &mut nearest_m);
-            count_free(member, options, &nearest_m, &mut counts.free);
+            count_free(member, options, &nearest_m, &mut counts);
         }
         let is_occupied = |k: usize| {
             let (hits, free) = (counts.hits[k], counts.free[k]);
@@ -135,13 +139,16 @@ impl Submap {
     pub fn centres(&self, kind: Square) -> impl Iterator<Item = [f64; 2]> + '_ {
         let of_kind = self.squares.iter().enumerate().filter(move |(_, square)| **square == kind);
         of_kind.map(|(k, _)| {
-            centre_m([k / self.n_squares, k % self.n_squares], self.n_squares, self.square_m)
+            let square = [k / self.n_squares, k % self.n_squares].map(|k| k as f64);
+            centre_m(square, self.n_squares, self.square_m)
         })
     }
 }
 
 struct Counts {
+    /// Number of scans with a return in each square.
     hits: Vec<u32>,
+    /// Number of scans that see through each square. Of a square without hits, it matters only whether there is one.
     free: Vec<u32>,
 }
 
@@ -158,8 +165,9 @@ fn index([x, y]: [f64; 2], n: usize, square_m: f64) -> Option<usize> {
     is_inside.then(|| a as usize * n + b as usize)
 }
 
-fn centre_m(square: [usize; 2], n: usize, square_m: f64) -> [f64; 2] {
-    square.map(|k| (k as f64 + 0.5 - n as f64 / 2.0) * square_m)
+/// The centre of a square, from its numbers along x and y. Those of a block lie between the numbers of its squares.
+fn centre_m(square: [f64; 2], n: usize, square_m: f64) -> [f64; 2] {
+    square.map(|k| (k + 0.5 - n as f64 / 2.0) * square_m)
 }
 
 /// Counts each square with a return once.
@@ -227,8 +235,16 @@ fn turns([x, y]: [f64; 2]) -> f64 {
     0.5 + if y < 0.0 { -half } else { half }
 }
 
+/// Squares per side of a block that is left out at once if all of it is behind the nearest returns.
+const BLOCK: usize = 8;
+
 /// Counts each square whose centre is before the nearest return of its sector.
-fn count_free(member: &Member<'_>, options: &SubmapOptions, nearest_m: &[f64], free: &mut [u32]) {
+fn count_free(
+    member: &Member<'_>,
+    options: &SubmapOptions,
+    nearest_m: &[f64],
+    counts: &mut Counts,
+) {
     let n = options.n_squares as usize;
     let scan_from_node = Motion::new(&member.node_from_scan.inverse());
     let middle = |v: f64| v / options.square_m + n as f64 / 2.0;
@@ -237,15 +253,49 @@ fn count_free(member: &Member<'_>, options: &SubmapOptions, nearest_m: &[f64], f
         let (from, to) = (middle(v) - reach, middle(v) + reach + 1.0);
         from.clamp(0.0, n as f64) as usize..to.clamp(0.0, n as f64) as usize
     };
-    for a in range(member.node_from_scan.x_m) {
-        for b in range(member.node_from_scan.y_m) {
-            let p = scan_from_node.point(centre_m([a, b], n, options.square_m));
-            let range_m = length(p);
-            if range_m < nearest_m[sector(p, nearest_m.len())] - options.free_margin_m {
-                free[a * n + b] += 1;
+    let [rows, columns] = [member.node_from_scan.x_m, member.node_from_scan.y_m].map(range);
+    let blocks = |of: &Range<usize>| {
+        let end = of.end;
+        of.clone().step_by(BLOCK).map(move |from| from..(from + BLOCK).min(end))
+    };
+    let point = |square: [f64; 2]| scan_from_node.point(centre_m(square, n, options.square_m));
+    for rows in blocks(&rows) {
+        for columns in blocks(&columns) {
+            let middle = [&rows, &columns].map(|of| (of.start + of.end - 1) as f64 / 2.0);
+            let half_m = options.square_m * (BLOCK - 1) as f64 * std::f64::consts::FRAC_1_SQRT_2;
+            if is_behind(point(middle), half_m, nearest_m, options.free_margin_m) {
+                continue;
+            }
+            for a in rows.clone() {
+                for b in columns.clone() {
+                    let k = a * n + b;
+                    // Most squares are seen by many scans and have no hit.
+                    if counts.hits[k] == 0 && 0 < counts.free[k] {
+                        continue;
+                    }
+                    let p = point([a, b].map(|k| k as f64));
+                    let nearest_m = nearest_m[sector(p, nearest_m.len())];
+                    counts.free[k] += u32::from(length(p) < nearest_m - options.free_margin_m);
+                }
             }
         }
     }
+}
+
+/// Whether all points within `radius_m` of a point are behind the nearest returns of their sectors.
+fn is_behind(p: [f64; 2], radius_m: f64, nearest_m: &[f64], margin_m: f64) -> bool {
+    let n = nearest_m.len();
+    let range_m = length(p);
+    if range_m <= 2.0 * radius_m {
+        return false;
+    }
+    // The angle of a chord of this size is less than 1.05 times its ratio to the range. One sector more for
+    // rounding.
+    let turns = 1.05 * radius_m / range_m / std::f64::consts::TAU;
+    let n_around = ((turns * n as f64) as usize + 2).min(n / 2);
+    let middle = sector(p, n);
+    let around = (middle + n - n_around..=middle + n + n_around).map(|k| nearest_m[k % n]);
+    around.fold(0.0, f64::max) - margin_m <= range_m - radius_m
 }
 
 /// Whether one of the 8 neighbours is occupied.
@@ -257,6 +307,8 @@ fn has_neighbour(occupied: &[bool], n: usize, k: usize) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use dataset::SplitMix64;
+
     use super::*;
 
     #[test]
@@ -269,5 +321,27 @@ mod tests {
         }
         assert_eq!(turns([0.0, 0.0]), 0.5);
         assert!(sector([-1.0, 0.0], 180) == 0);
+    }
+
+    /// Points around a block's middle, where the nearest return of each sector is known.
+    #[test]
+    fn nothing_of_a_block_behind_the_returns_is_before_them() {
+        let mut random = SplitMix64::new(5);
+        let mut n_behind = 0;
+        for _ in 0..2000 {
+            let nearest_m: Vec<f64> = (0..180).map(|_| 2.0 + 8.0 * random.unit()).collect();
+            let [x, y] = [0, 1].map(|_| 30.0 * random.unit() - 15.0);
+            let radius_m = 2.0 * random.unit();
+            if !is_behind([x, y], radius_m, &nearest_m, 0.5) {
+                continue;
+            }
+            n_behind += 1;
+            for k in 0..64 {
+                let (sin, cos) = libm::sincos(f64::from(k) / 64.0 * std::f64::consts::TAU);
+                let p = [x + radius_m * cos, y + radius_m * sin];
+                assert!(nearest_m[sector(p, 180)] - 0.5 <= length(p), "{p:?}");
+            }
+        }
+        assert!((300..1900).contains(&n_behind), "{n_behind}");
     }
 }

@@ -122,18 +122,12 @@ impl Target {
     /// Rows of squares are searched from the inside out, as far as a point can still be nearer.
     #[inline]
     pub fn nearest(&self, position_m: [f64; 2], max_m: f64) -> Option<usize> {
-        self.nearest_entry(position_m, max_m, None).map(|entry| self.point_at(entry))
+        self.nearest_from(position_m, max_m, None).map(|point| point as usize)
     }
 
-    /// The index of the point of an entry of the order.
+    /// The nearest point. A `seed` that is near makes the search short.
     #[inline]
-    fn point_at(&self, entry: u32) -> usize {
-        self.order[entry as usize] as usize
-    }
-
-    /// The entry of the nearest point. A `seed` that is near makes the search short.
-    #[inline]
-    fn nearest_entry(&self, [x, y]: [f64; 2], max_m: f64, seed: Option<u32>) -> Option<u32> {
+    fn nearest_from(&self, [x, y]: [f64; 2], max_m: f64, seed: Option<u32>) -> Option<u32> {
         debug_assert!(max_m <= self.reach_m, "the search does not reach farther than the target");
         let [a, b] =
             [(x - self.corner_m[0]) / self.square_m, (y - self.corner_m[1]) / self.square_m];
@@ -144,9 +138,10 @@ impl Target {
         if !(is_near(a, 0) && is_near(b, 1)) {
             return None;
         }
-        let mut best = Best { m2: max_m * max_m, reach, entry: None };
-        if let Some(entry) = seed {
-            best.offer(entry, self.sorted_m[entry as usize], [x, y], self.square_m);
+        let mut best = Best { m2: max_m * max_m, reach, point: None };
+        if let Some(point) = seed {
+            let p = self.points.positions_m[point as usize];
+            best.offer(p, [x, y], self.square_m, || point);
         }
         // The largest integer that is not above `a`, without a call of `floor`.
         let row = a as i64 - i64::from(a < (a as i64) as f64);
@@ -161,7 +156,7 @@ impl Target {
             self.search_row(row - step, to_below, b, [x, y], &mut best);
             self.search_row(row + step, to_above, b, [x, y], &mut best);
         }
-        best.entry
+        best.point
     }
 
     /// Searches the squares of a row that may have a nearer point. `to_row` is the distance from the
@@ -188,7 +183,9 @@ impl Target {
                 bits &= bits - 1;
                 let rank = self.rank(square);
                 for entry in self.starts[rank]..self.starts[rank + 1] {
-                    best.offer(entry, self.sorted_m[entry as usize], [x, y], self.square_m);
+                    let entry = entry as usize;
+                    let point = || self.order[entry];
+                    best.offer(self.sorted_m[entry], [x, y], self.square_m, point);
                 }
             }
             from += n;
@@ -208,22 +205,28 @@ impl Target {
     }
 }
 
+/// Squared distance \[m^2\].
+#[inline]
+fn squared(p: [f64; 2], [x, y]: [f64; 2]) -> f64 {
+    let (dx, dy) = (p[0] - x, p[1] - y);
+    dx * dx + dy * dy
+}
+
 /// The nearest point so far.
 struct Best {
     m2: f64,
     /// The distance in squares.
     reach: f64,
-    entry: Option<u32>,
+    point: Option<u32>,
 }
 
 impl Best {
-    /// Takes the point of an entry if it is nearer.
+    /// Takes a point if it is nearer.
     #[inline]
-    fn offer(&mut self, entry: u32, p: [f64; 2], [x, y]: [f64; 2], square_m: f64) {
-        let (dx, dy) = (p[0] - x, p[1] - y);
-        let m2 = dx * dx + dy * dy;
+    fn offer(&mut self, p: [f64; 2], at: [f64; 2], square_m: f64, point: impl Fn() -> u32) {
+        let m2 = squared(p, at);
         if m2 < self.m2 {
-            *self = Self { m2, reach: m2.sqrt() / square_m, entry: Some(entry) };
+            *self = Self { m2, reach: m2.sqrt() / square_m, point: Some(point()) };
         }
     }
 }
@@ -239,8 +242,8 @@ pub(crate) struct Searches<'a> {
 #[derive(Clone, Copy)]
 struct Search {
     position_m: [f64; 2],
-    entry: Option<u32>,
-    /// No point is nearer to the position than this \[m\]. Used without an entry.
+    point: Option<u32>,
+    /// No point is nearer to the position than this \[m\]. Used without a point.
     empty_m: f64,
 }
 
@@ -249,7 +252,7 @@ const ROUNDING_M: f64 = 1e-9;
 
 impl<'a> Searches<'a> {
     pub(crate) fn new(target: &'a Target, n_points: usize) -> Self {
-        let nothing = Search { position_m: [0.0; 2], entry: None, empty_m: 0.0 };
+        let nothing = Search { position_m: [0.0; 2], point: None, empty_m: 0.0 };
         Self { target, last: vec![nothing; n_points] }
     }
 
@@ -257,16 +260,53 @@ impl<'a> Searches<'a> {
     #[inline]
     pub(crate) fn nearest(&mut self, k: usize, position_m: [f64; 2], max_m: f64) -> Option<usize> {
         let last = &mut self.last[k];
-        if last.entry.is_none() {
+        if last.point.is_none() {
             let [x, y] = [0, 1].map(|axis| position_m[axis] - last.position_m[axis]);
             // Nothing is within a circle around the last position that contains the new one.
             if max_m + length([x, y]) + ROUNDING_M < last.empty_m {
                 return None;
             }
         }
-        let entry = self.target.nearest_entry(position_m, max_m, last.entry);
-        *last = Search { position_m, entry, empty_m: max_m };
-        entry.map(|entry| self.target.point_at(entry))
+        let point = self.target.nearest_from(position_m, max_m, last.point);
+        *last = Search { position_m, point, empty_m: max_m };
+        point.map(|point| point as usize)
+    }
+}
+
+/// Searches of the nearest points to the points of a scan, one after the other. The points of the target are also
+/// those of a scan, so that the next one is often a few points after the last one.
+pub(crate) struct AlongScan<'a> {
+    target: &'a Target,
+    last: Option<u32>,
+}
+
+/// The most points that are tried after the last one.
+const MAX_STEPS: usize = 8;
+
+impl<'a> AlongScan<'a> {
+    pub(crate) fn new(target: &'a Target) -> Self {
+        Self { target, last: None }
+    }
+
+    /// The target point nearest to the next position, if one is nearer than `max_m`.
+    #[inline]
+    pub(crate) fn nearest(&mut self, position_m: [f64; 2], max_m: f64) -> Option<usize> {
+        let positions = &self.target.points.positions_m;
+        let seed = self.last.map(|last| {
+            let (mut seed, mut m2) = (last, squared(positions[last as usize], position_m));
+            for (next, &p) in positions[last as usize..].iter().enumerate().skip(1).take(MAX_STEPS)
+            {
+                let next_m2 = squared(p, position_m);
+                if m2 <= next_m2 {
+                    break;
+                }
+                (seed, m2) = (last + next as u32, next_m2);
+            }
+            seed
+        });
+        let found = self.target.nearest_from(position_m, max_m, seed);
+        self.last = found.or(self.last);
+        found.map(|point| point as usize)
     }
 }
 
@@ -320,6 +360,26 @@ mod tests {
             }
         }
         assert!((2000..11_000).contains(&n_found), "{n_found}");
+    }
+
+    /// The points of a wall in the order of a scan, and in the opposite order.
+    #[test]
+    fn searches_along_a_scan_find_the_same_as_single_ones() {
+        let wall: Vec<[f64; 2]> = (0..200).map(|k| [0.05 * f64::from(k), 2.0]).collect();
+        let target = Target::new(Points { normals: vec![None; 200], positions_m: wall }, 0.35);
+        let mut queries: Vec<[f64; 2]> =
+            (0..90).map(|k| [0.13 * f64::from(k) - 0.5, 2.0 + 0.005 * f64::from(k)]).collect();
+        for _ in 0..2 {
+            let mut searches = AlongScan::new(&target);
+            let mut n_found = 0;
+            for query in &queries {
+                let expected = target.nearest(*query, 0.35);
+                assert_eq!(searches.nearest(*query, 0.35), expected, "{query:?}");
+                n_found += usize::from(expected.is_some());
+            }
+            assert!((60..80).contains(&n_found), "{n_found}");
+            queries.reverse();
+        }
     }
 
     #[test]
