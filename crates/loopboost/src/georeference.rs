@@ -90,7 +90,7 @@ impl Georeference<'_> {
 
     /// Whether a drive of the known map is in the frame of the references.
     fn is_in_frame(&self, known: usize) -> bool {
-        self.site.known_frame.is_some_and(|(number, _)| self.site.known_maps[known] == number)
+        self.site.known_frames.iter().any(|(number, _)| self.site.known_maps[known] == *number)
     }
 
     /// Puts the maps into the frame of their references. Those that the references place become one map.

@@ -26,8 +26,8 @@ pub(crate) struct KnownMap {
     pub(crate) maps: Vec<u32>,
     /// The accepted closures within and between them. `locate` does not need them.
     pub(crate) closures: Vec<ScanClosure>,
-    /// The number and the origin of the map that is in a frame of absolute references.
-    pub(crate) frame: Option<(u32, Option<Origin>)>,
+    /// The numbers and the origins of the maps that are in a frame of absolute references: one per site.
+    pub(crate) frames: Vec<(u32, Option<Origin>)>,
 }
 
 impl KnownMap {
@@ -40,8 +40,8 @@ impl KnownMap {
         let runs = MapRun::known(run)?;
         let Some(first) = runs.first() else { return Ok(None) };
         let (_, Provenance { notes, .. }) = read_trajectory(&first.path(Artifact::Trajectory, ""))?;
-        let frame = notes.iter().find_map(|note| frame(&note.kind));
-        let mut known = Self { frame, ..Self::default() };
+        let frames = notes.iter().filter_map(|note| frame(&note.kind)).collect();
+        let mut known = Self { frames, ..Self::default() };
         let mut names = BTreeSet::new();
         for map in &runs {
             for log in map.logs() {

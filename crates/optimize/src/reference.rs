@@ -32,7 +32,7 @@ pub struct Reference {
 /// measurement has the weight 1 / (sum of its correlations), 1 / (2 T / dt) for a constant interval dt.
 pub fn n_correlated(stamps_ns: &[i64], correlation_secs: f64) -> Vec<f64> {
     let decay = |pair: &[i64]| match correlation_secs {
-        secs if 0.0 < secs => libm::exp(-((pair[1] - pair[0]) as f64) * 1e-9 / secs),
+        secs if 0.0 < secs => libm::exp(-(pair[1].saturating_sub(pair[0]) as f64) * 1e-9 / secs),
         _ => 0.0,
     };
     let decays: Vec<f64> = stamps_ns.windows(2).map(decay).collect();

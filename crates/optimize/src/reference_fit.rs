@@ -149,11 +149,11 @@ impl Fitted<'_> {
     /// The matches if the references are of a later time by `delay_secs`. Those outside of their drive are left
     /// out.
     fn delayed(&self, delay_secs: f64) -> Vec<Match> {
+        let parts = self.drive.parts();
         let at = |reference: &Reference| {
-            let of_drive =
-                self.drive.parts().into_iter().nth(self.drive.part_of(reference.scan))?;
+            let of_drive = &parts[self.drive.part_of(reference.scan)];
             let stamps_ns = &self.stamps_ns[of_drive.clone()];
-            let stamp_ns = reference.stamp_ns + (delay_secs * 1e9) as i64;
+            let stamp_ns = reference.stamp_ns.saturating_add((delay_secs * 1e9) as i64);
             let after = stamps_ns.partition_point(|&other| other <= stamp_ns);
             let (last, next) =
                 (after.checked_sub(1)?, Some(after).filter(|&k| k < stamps_ns.len())?);

@@ -4,7 +4,8 @@
 //! 1. The map is moved as a whole to where most references agree with it (`reference_fit.rs`).
 //! 2. It bends, within the errors of its odometry and its closures, so that it agrees with the references. Those
 //!    that contradict it are rejected, with graduated non-convexity.
-//! 3. If half of them or more are rejected, they contradict the map as a whole, and it stays as it was.
+//! 3. If half of them or more are rejected, they contradict the map as a whole, and it stays as it was. Measurements
+//!    with correlated errors count as fewer.
 //!
 //! References state their errors, often too small. The scatter of all references is compared with what they
 //! state, and larger errors are used if it is larger. Consecutive fixes have nearly the same error, see
@@ -250,8 +251,11 @@ impl<'a> Bend<'a> {
             let doubtful = Doubtful { edges: &edges, shares, max_chi2 };
             let Robust { poses: found, is_kept: kept } =
                 reject_outliers(&self.trusted, &doubtful, &vertices);
-            let n_kept = kept.iter().filter(|kept| **kept).count();
-            if n_kept == 0 || 1 < kept.len() && 2 * n_kept <= kept.len() {
+            let weight = |is_kept: bool| {
+                let of = self.references.iter().zip(&kept).filter(|(_, kept)| **kept == is_kept);
+                of.map(|(reference, _)| 1.0 / reference.n_correlated).sum::<f64>()
+            };
+            if weight(true) <= weight(false) {
                 return None;
             }
             poses = carry(self.map.drive, self.start, &self.scans, &found[1..]);

@@ -159,6 +159,29 @@ fn more_references_reduce_the_covariance() {
     assert!(2.0 * std_m(&many, 300) < std_m(&correlated, 300));
 }
 
+/// 130 fixes agree with the map, and 20 with nothing. If the errors of the 130 are those of 13, most of what is known
+/// contradicts the map.
+#[test]
+fn references_with_common_errors_count_as_fewer() {
+    let made = Made::new(0.0);
+    let mut fixes = made.fixes(0.5, Pose2::default());
+    let mut random = SplitMix64::new(12);
+    let wrong = |k: usize| k % 7 == 3 && k / 7 < 20;
+    for (k, fix) in fixes.iter_mut().enumerate() {
+        if wrong(k) {
+            fix.measured.x_m += 40.0 * random.unit() - 60.0;
+            fix.measured.y_m += 40.0 * random.unit() + 30.0;
+        }
+    }
+    let placed = made.placed(&fixes);
+    let n_rejected = placed.residuals.iter().filter(|residual| !residual.is_kept).count();
+    assert!((20..25).contains(&n_rejected), "{n_rejected}");
+    for (k, fix) in fixes.iter_mut().enumerate() {
+        fix.n_correlated = if wrong(k) { 1.0 } else { 10.0 };
+    }
+    made.contradiction(&fixes);
+}
+
 /// Every fix of a third of the drive jumps to a wrong place, as under a reflection.
 #[test]
 fn outliers_are_found_and_do_not_bend_the_map() {
