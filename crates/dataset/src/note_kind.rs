@@ -380,6 +380,15 @@ codes! {
             /// Share of the points near a point of the last metres.
             near_share: f64,
         } => "along {length_m:.0} m of path ({}), less than {:.0} % of the points of a scan are near a point of the scans before: the trajectory may be wrong there; check `ingest.lidar.mount` and the clocks of lidar and poses", count(*n_stretches, "stretch"), near_share * 100.0;
+        /// The scans show another place than the odometry says.
+        Warning "scans_of_another_place" ScansOfAnotherPlace {
+            /// Number of times.
+            n_times: u64,
+            /// Time of the first one \[s since the epoch\].
+            first_secs: f64,
+            /// Path before it \[m\].
+            travel_m: f64,
+        } => "the scans suddenly show another place than those before, although the odometry goes on ({}; first at {first_secs:.3} s, after {travel_m:.0} m): the robot was carried or took a lift, or logs were joined; cut the log there and list both parts in `ingest.logs`, because closures across it are rejected, and often all others with them", count(*n_times, "time");
         /// The odometry differs from the motion that the scans show.
         Warning "odometry_bias" OdometryBias {
             /// Motion per motion of the odometry.

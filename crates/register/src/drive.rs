@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::align::Weakness;
+use crate::breaks::Scans;
 use crate::joint::{JointOptions, JointScans, align_jointly, pairs_along_path};
 use crate::matcher::{Matched, MatcherOptions, ScanMatcher, is_decided};
 use crate::odometry::OdometryModel;
@@ -72,6 +73,9 @@ pub struct Registered {
     pub near_share: f64,
     /// The direction in which the points determine the position worst.
     pub weakness: Option<Weakness>,
+    /// Whether the scans from this one on show another place than those before, although the odometry says that they
+    /// are near: the robot was carried, or logs were joined. Its pose relative to them is not known.
+    pub is_break: bool,
 }
 
 impl Registered {
@@ -292,14 +296,18 @@ pub fn register_drive(
         is_held: &is_held,
     };
     let poses = align_jointly(&joint, &poses, &pairs, &JointOptions::default());
-    let registered = chosen.iter().zip(&poses).zip(&matched);
+    let near_shares: Vec<f64> = matched.iter().map(|matched| matched.near_share).collect();
+    let scans = Scans { points: &used, poses: &poses, path_m: &path_m, near_shares: &near_shares };
+    let breaks = scans.breaks();
+    let registered = chosen.iter().zip(&poses).zip(&matched).enumerate();
     registered
-        .map(|((&index, &pose), matched)| Registered {
+        .map(|(k, ((&index, &pose), matched))| Registered {
             index,
             pose,
             covariance: matched.covariance,
             near_share: matched.near_share,
             weakness: matched.weakness,
+            is_break: breaks.contains(&k),
         })
         .collect()
 }

@@ -50,6 +50,7 @@
 //! ```
 
 mod align;
+mod breaks;
 mod correlate;
 mod drive;
 mod joint;

@@ -36,9 +36,11 @@ fn register(run: &Run, provenance: &Provenance) -> Result<Done> {
     // The scans of a drive are matched one after the other, so drives are registered in parallel.
     let options = &run.config.register;
     let register = |segment: &Segment| segment.register(options, &keyframes);
-    let registered: Vec<Vec<RegisteredScan>> =
+    let registered: Vec<RegisteredSegment> =
         segments.par_iter().map(register).collect::<Result<_>>()?;
-    let mut registered = registered.into_iter().flatten().peekable();
+    let breaks: Vec<RegisteredScan> =
+        registered.iter().flat_map(RegisteredSegment::breaks).collect();
+    let mut registered = registered.into_iter().flat_map(|segment| segment.rows).peekable();
 
     let mut done = Done::default();
     let mut of_logs = Vec::new();
@@ -48,6 +50,7 @@ fn register(run: &Run, provenance: &Provenance) -> Result<Done> {
             rows.push(row);
         }
         done.notes.extend(notes(run, log, &rows));
+        done.notes.extend(other_places(log, &breaks));
         done.notes.extend(odometry_bias(run, log, &rows));
         done.summaries.push(summary(log, &rows));
         of_logs.push(rows);
@@ -97,7 +100,7 @@ impl Segment {
         &self,
         options: &RegisterOptions,
         keyframes: &HashSet<ScanId>,
-    ) -> Result<Vec<RegisteredScan>> {
+    ) -> Result<RegisteredSegment> {
         let id = |scan: u32| ScanId { log: self.log.clone(), scan };
         let numbers: Vec<u32> = self.scans.iter().map(|scan| scan.scan).collect();
         let scans = scans_of(&self.table, &numbers)?;
@@ -133,8 +136,35 @@ impl Segment {
                 travel_m,
             }
         });
-        Ok(rows.collect())
+        let rows = rows.collect();
+        let of_break = registered.iter().enumerate().filter(|(_, scan)| scan.is_break);
+        Ok(RegisteredSegment { rows, breaks: of_break.map(|(k, _)| k).collect() })
     }
+}
+
+/// The registered scans of a segment.
+struct RegisteredSegment {
+    rows: Vec<RegisteredScan>,
+    /// The rows from which on the scans show another place.
+    breaks: Vec<usize>,
+}
+
+impl RegisteredSegment {
+    fn breaks(&self) -> impl Iterator<Item = RegisteredScan> + '_ {
+        self.breaks.iter().map(|&k| self.rows[k].clone())
+    }
+}
+
+/// A remark about scans of a log that show another place than those before.
+fn other_places(log: &LogFile, breaks: &[RegisteredScan]) -> Option<Note> {
+    let of_log: Vec<&RegisteredScan> = breaks.iter().filter(|row| row.id.log == log.name).collect();
+    let first = of_log.first()?;
+    let kind = NoteKind::ScansOfAnotherPlace {
+        n_times: of_log.len() as u64,
+        first_secs: first.stamp_ns as f64 * 1e-9,
+        travel_m: first.travel_m,
+    };
+    Some(Note::new(kind, Subject::log(&*log.name)))
 }
 
 /// A scan is matched poorly if less than this share of its points is near a point of the last metres.

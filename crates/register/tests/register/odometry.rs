@@ -2,7 +2,7 @@ use dataset::{Pose2, RangeLimits, Scan, SplitMix64};
 use model::Detector;
 use register::{OdometryModel, OdometryScan, OdometryStep, RegisterOptions, register_drive};
 
-use crate::world::{World, gaussian};
+use crate::world::{World, gaussian, lap};
 
 const LIMITS: RangeLimits = RangeLimits { min_m: 0.1, max_m: 25.0 };
 
@@ -100,4 +100,36 @@ fn rooms_correct_the_odometry_in_corridors() {
     assert!(last.weakness.unwrap().ratio < 0.02, "{last:?}");
     let error_m = last.pose.distance_m(&truth[last.index]);
     assert!(error_m < 0.7, "{error_m}");
+}
+
+/// From one scan to the next, the lidar is in a hall instead of a corridor, and the odometry goes on. This is a break.
+/// A single scan of the hall is none, because the next scan is of the corridor again.
+#[test]
+fn scans_of_another_place_are_found() {
+    let corridor = World::ring_corridor();
+    let mut hall = World(Vec::new());
+    hall.add_rectangle([-9.0, -7.5], [19.0, 16.0]);
+    hall.add_rectangle([3.0, -6.0], [3.5, -5.5]);
+    hall.add_rectangle([9.0, 3.0], [10.0, 5.0]);
+    let truth = &lap()[..120];
+    let breaks = |is_hall: &dyn Fn(usize) -> bool| {
+        let mut random = SplitMix64::new(3);
+        let scan = |(k, pose): (usize, &Pose2)| {
+            let world = if is_hall(k) { &hall } else { &corridor };
+            world.scan(pose, 360, 0.01, &mut random)
+        };
+        let scans: Vec<Scan> = truth.iter().enumerate().map(scan).collect();
+        let input: Vec<OdometryScan<'_>> = scans
+            .iter()
+            .zip(truth)
+            .map(|(scan, &odometry)| OdometryScan { scan, odometry, is_keyframe: true })
+            .collect();
+        let noise = Detector::starting_values().odometry;
+        let registered = register_drive(&input, LIMITS, &noise, &RegisterOptions::default());
+        let breaks = registered.iter().filter(|scan| scan.is_break);
+        breaks.map(|scan| scan.index).collect::<Vec<_>>()
+    };
+    assert_eq!(breaks(&|_| false), [0; 0]);
+    assert_eq!(breaks(&|k| k == 60), [0; 0]);
+    assert_eq!(breaks(&|k| 60 <= k), [60]);
 }
