@@ -7,6 +7,7 @@
 )]
 
 mod batch;
+mod carried;
 mod compare;
 mod deskew;
 mod detection;

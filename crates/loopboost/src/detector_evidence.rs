@@ -115,10 +115,15 @@ impl<'a> Registered<'a> {
         let rows = self.tables.registered;
         let after = self.by_stamp.partition_point(|&k| rows[k].stamp_ns <= stamp_ns);
         let row = &rows[self.by_stamp[after.checked_sub(1)?]];
-        let odometry = self.tables.odometry.stamped_pose_at(stamp_ns, MAX_INTERPOLATION_NS).ok()?;
+        let odometry_at = |stamp_ns: i64| {
+            self.tables.odometry.stamped_pose_at(stamp_ns, MAX_INTERPOLATION_NS).ok()
+        };
+        let odometry = odometry_at(stamp_ns)?;
         let step = row.odometry.inverse() * odometry.pose;
         let step_m = step.distance_m(&Pose2::default());
-        (odometry.segment == row.segment && step_m <= MAX_CARRY_M).then(|| Posed {
+        // `register` can split the segments of the odometry.
+        let is_continuous = odometry.segment == odometry_at(row.stamp_ns)?.segment;
+        (is_continuous && step_m <= MAX_CARRY_M).then(|| Posed {
             odometry: odometry.pose,
             matched: row.pose * step,
             segment: row.segment,

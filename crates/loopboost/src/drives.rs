@@ -123,6 +123,28 @@ pub(crate) fn posed_scans(run: &Run, log: &str) -> Result<Vec<Vec<PosedScan>>> {
     Ok(scans.chunk_by(|a, b| a.odometry.segment == b.odometry.segment).map(<[_]>::to_vec).collect())
 }
 
+/// The same, split as the registered scans are: `register` begins a new segment where the scans show another place
+/// than those before. Scans between two registered ones belong to the first of them.
+pub(crate) fn posed_scans_of(
+    run: &Run,
+    log: &str,
+    rows: &[RegisteredScan],
+) -> Result<Vec<Vec<PosedScan>>> {
+    let segment_of: HashMap<u32, u32> = rows.iter().map(|row| (row.id.scan, row.segment)).collect();
+    let mut pieces = Vec::new();
+    for mut scans in posed_scans(run, log)? {
+        let registered = |scan: &PosedScan| segment_of.get(&scan.scan).copied();
+        let Some(mut segment) = scans.iter().find_map(registered) else { continue };
+        for scan in &mut scans {
+            segment = registered(scan).unwrap_or(segment);
+            scan.odometry.segment = segment;
+        }
+        let pieces_of = scans.chunk_by(|a, b| a.odometry.segment == b.odometry.segment);
+        pieces.extend(pieces_of.map(<[_]>::to_vec));
+    }
+    Ok(pieces)
+}
+
 /// The range limits of the registration of a log: those of its lidar, up to `register.max_range_m`.
 pub(crate) fn registration_limits(config: &Config, log: &str) -> Result<RangeLimits> {
     let lidar = config.for_log(log)?.lidar;

@@ -16,7 +16,7 @@ use evaluate::detection::{
     ScanPoses, SiteDrives,
 };
 
-use crate::drives::{PosedScan, posed_scans};
+use crate::drives::{PosedScan, posed_scans_of};
 use crate::logs::LogFile;
 use crate::run::Run;
 use crate::site_drives::logs_of_sites;
@@ -80,7 +80,7 @@ impl FoundDrive {
             false => None,
         };
         let truth = truth.filter(|truth| !truth.poses().is_empty()).map(Arc::new);
-        let posed = posed_scans(run, &log.name)?;
+        let posed = posed_scans_of(run, &log.name, &registered)?;
         let segments = registered.chunk_by(|a, b| a.segment == b.segment);
         segments
             .map(|rows| {

@@ -492,7 +492,9 @@ mod tests {
     /// relation.
     #[test]
     fn references_need_one_frame() {
-        let origin = |latitude_deg: f64| Some(Origin { latitude_deg, ..Origin::default() });
+        let origin = |latitude_deg: f64| {
+            Some(Origin { latitude_deg, longitude_deg: -83.7, altitude_m: 260.0 })
+        };
         let found = |frames: &[(u32, Option<Origin>)]| {
             frame_for_references(frames).map(|frame| frame.map(|(number, _)| number))
         };

@@ -20,7 +20,7 @@ use register::{Drive, OdometryScan};
 use train::detector::{alignment_covariance, closure_covariance};
 
 use crate::drives::{
-    PosedScan, RegisteredDrive, by_id, closure_row, evidence, matrix, posed_scans,
+    PosedScan, RegisteredDrive, by_id, closure_row, evidence, matrix, posed_scans_of,
     registration_limits, scans_of, upper_triangle,
 };
 use crate::findings::Findings;
@@ -206,7 +206,9 @@ fn every_scan(
     drives: &[Drive<'_>],
     solved: &Site,
 ) -> Result<Trajectory> {
-    let posed = posed_scans(run, &log.name)?;
+    let of_log = site.drives.iter().filter(|drive| drive.log() == Some(&log.name));
+    let rows: Vec<RegisteredScan> = of_log.flat_map(|drive| drive.rows.iter().cloned()).collect();
+    let posed = posed_scans_of(run, &log.name, &rows)?;
     let mut poses = Vec::new();
     let mut optimized = &solved.solution.poses[..];
     for (registered, drive) in site.drives.iter().zip(drives) {

@@ -20,7 +20,7 @@ use crate::summary::Summary;
 
 /// Scans and poses -> registered/LOG.parquet, odometry.parquet
 ///
-/// Each segment of a log is registered by itself.
+/// Each segment of a log is registered by itself. Where the scans suddenly show another place, a new segment begins.
 pub(crate) fn run(run: &Run) -> Result<Findings> {
     run.task(&run.task_of(Stage::Register)?, |provenance| register(run, &provenance))
 }
@@ -49,6 +49,7 @@ fn register(run: &Run, provenance: &Provenance) -> Result<Done> {
         while let Some(row) = registered.next_if(|row| row.id.log == log.name) {
             rows.push(row);
         }
+        split(&mut rows, &breaks);
         done.notes.extend(notes(run, log, &rows));
         done.notes.extend(other_places(log, &breaks));
         done.notes.extend(odometry_bias(run, log, &rows));
@@ -152,6 +153,22 @@ struct RegisteredSegment {
 impl RegisteredSegment {
     fn breaks(&self) -> impl Iterator<Item = RegisteredScan> + '_ {
         self.breaks.iter().map(|&k| self.rows[k].clone())
+    }
+}
+
+/// Begins a new segment with each of the breaks.
+fn split(rows: &mut [RegisteredScan], breaks: &[RegisteredScan]) {
+    let breaks: HashSet<&ScanId> = breaks.iter().map(|row| &row.id).collect();
+    let (mut n_breaks, mut from_m, mut last) = (0, 0.0, None);
+    for row in rows {
+        if last != Some(row.segment) {
+            (from_m, last) = (0.0, Some(row.segment));
+        }
+        if breaks.contains(&row.id) {
+            (n_breaks, from_m) = (n_breaks + 1, row.travel_m);
+        }
+        row.segment += n_breaks;
+        row.travel_m -= from_m;
     }
 }
 
