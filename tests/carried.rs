@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::fs;
 
-use dataset::tables::{read_closures, read_poses, read_trajectory};
+use dataset::tables::{read_closures, read_poses, read_registered, read_trajectory};
 use dataset::{JudgedClosure, Pose2};
-use messages::{LaserScan, StampedPose3};
 use messages::ros::{write_laser_scan, write_pose_stamped};
+use messages::{LaserScan, StampedPose3};
 
 use crate::made::{Message, Schema, log};
 use crate::support::Workplace;
@@ -146,6 +146,12 @@ fn a_robot_that_was_carried_begins_a_new_segment() {
     made.says(&["warning[scans_of_another_place]", "1 time; first at 1700000120.000 s"]);
 
     let read = |file: &str| workplace.path(&format!("out/{file}"));
+    let rows = read_registered(&read("registered/monday.parquet")).unwrap().0;
+    for pair in rows.windows(2) {
+        let is_new = pair[0].segment != pair[1].segment;
+        assert_eq!(is_new, pair[1].id.scan == 2 * lap().len() as u32);
+        assert_eq!(is_new, pair[1].travel_m == 0.0, "the path of a segment begins with 0");
+    }
     let keyframes = read_trajectory(&read("trajectory.parquet")).unwrap().0;
     let n_lap = lap().len() as u32;
     let is_second = |scan: u32| 2 * n_lap <= scan;

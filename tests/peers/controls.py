@@ -163,7 +163,9 @@ def wrong_without_truth(folder, join_ns):
     """A test of pairs that evaluate cannot judge: it is true within the first of two buildings, which has no
     revisit, and between the buildings."""
     registered = pq.read_table(next((folder / "registered").glob("*.parquet")))
-    stamp_ns, travel_m = registered["stamp_ns"].to_numpy(), registered["travel_m"].to_numpy()
+    stamp_ns = registered["stamp_ns"].to_numpy()
+    # The path of each segment begins with 0.
+    travel_m = np.cumsum(np.maximum(np.diff(registered["travel_m"].to_numpy(), prepend=0.0), 0.0))
     join_m = travel_m[stamp_ns <= join_ns].max(initial=-np.inf)
     of_scan = dict(zip(registered["scan"].to_pylist(), travel_m))
     scans = lambda pair: (pair["query_scan"], pair["reference_scan"])
