@@ -11,6 +11,8 @@ const BEFORE_M: f64 = 8.0;
 const AFTER_M: f64 = 4.0;
 /// The least number of scans after a break.
 const MIN_AFTER: usize = 3;
+/// At least this share of them agree with each other.
+const MIN_AGREE: f64 = 0.75;
 /// Scans with fewer points say nothing.
 const MIN_POINTS: usize = 60;
 /// Scans that share less than this with those before show another place. On recorded drives, all but single scans
@@ -48,7 +50,7 @@ impl Scans<'_> {
         let end = self.path_m.partition_point(|&m| m <= at_m + AFTER_M);
         let after: Vec<usize> = (scan + 1..end).filter(|&k| says_something(k)).collect();
         let agree = after.iter().filter(|&&k| AGREE_SHARE < self.near_shares[k]).count();
-        if after.len() < MIN_AFTER || agree < after.len() {
+        if after.len() < MIN_AFTER || (agree as f64) < MIN_AGREE * after.len() as f64 {
             return false;
         }
         let start = self.path_m.partition_point(|&m| m < at_m - BEFORE_M);
