@@ -99,12 +99,18 @@ fn message(topic: &'static str, type_name: &'static str, stamp_ns: i64, data: Ve
     Message { topic, type_name, encoding: Encoding::Cdr, stamp_ns, data }
 }
 
-/// Two laps in the corridor, and as many in the hall. The poses are those of four laps.
+/// Scans after the robot was put down, before it moves.
+const N_AT_REST: usize = 12;
+
+/// Two laps in the corridor, and as many in the hall, after some time at rest. The poses are those of four laps with a
+/// stop after the second one.
 fn carried() -> Vec<u8> {
     let (corridor, hall) = (corridor(), hall());
     let lap = lap();
+    let laps = || lap.iter().chain(&lap);
+    let at_rest = std::iter::repeat_n(&lap[lap.len() - 1], N_AT_REST);
     let mut messages = Vec::new();
-    for (k, pose) in (0..4).flat_map(|_| &lap).enumerate() {
+    for (k, pose) in laps().chain(at_rest).chain(laps()).enumerate() {
         let stamp_ns = START_NS + k as i64 * STEP_NS;
         let (sin, cos) = (pose.heading_rad / 2.0).sin_cos();
         let stamped = StampedPose3 {
@@ -143,26 +149,33 @@ fn a_robot_that_was_carried_begins_a_new_segment() {
     fs::create_dir(workplace.path("logs")).unwrap();
     fs::write(workplace.path("logs/monday.mcap"), carried()).unwrap();
     let made = workplace.command("run", "out", &[]).expect(3);
-    made.says(&["warning[scans_of_another_place]", "1 time; first at 1700000120.000 s"]);
-
     let read = |file: &str| workplace.path(&format!("out/{file}"));
     let rows = read_registered(&read("registered/monday.parquet")).unwrap().0;
-    for pair in rows.windows(2) {
-        let is_new = pair[0].segment != pair[1].segment;
-        assert_eq!(is_new, pair[1].id.scan == 2 * lap().len() as u32);
-        assert_eq!(is_new, pair[1].travel_m == 0.0, "the path of a segment begins with 0");
-    }
-    let keyframes = read_trajectory(&read("trajectory.parquet")).unwrap().0;
+    let first = rows.iter().position(|row| row.segment == 1).unwrap();
+    let [last, next] = [first - 1, first].map(|k| rows[k].id.scan);
     let n_lap = lap().len() as u32;
+    let moves_again = 2 * n_lap + N_AT_REST as u32;
+    assert!(last < 2 * n_lap && moves_again <= next && next < moves_again + 4, "{last} {next}");
+    assert!(rows[first..].iter().all(|row| row.segment == 1));
+    assert_eq!(rows[first].travel_m, 0.0, "the path of a segment begins with 0");
+    let secs = 1_700_000_000.0 + 0.25 * f64::from(next);
+    let n_between = next - last - 1;
+    made.says(&[
+        "warning[scans_of_another_place]",
+        &format!("1 time; first at {secs:.3} s"),
+        &format!("{n_between} scans between get no pose"),
+    ]);
+    let keyframes = read_trajectory(&read("trajectory.parquet")).unwrap().0;
     let is_second = |scan: u32| 2 * n_lap <= scan;
     for keyframe in &keyframes {
         let segment = u32::from(is_second(keyframe.id.scan));
         assert_eq!((keyframe.segment, keyframe.map), (segment, segment), "{:?}", keyframe.id);
     }
     let poses = read_poses(&read("trajectory/monday.parquet")).unwrap().0;
-    assert_eq!(poses.poses().len() as u32, 4 * n_lap);
-    for (scan, pose) in (0..).zip(poses.poses()) {
-        assert_eq!(pose.segment, u32::from(is_second(scan)), "{scan}");
+    let n_poses = 4 * n_lap + N_AT_REST as u32 - n_between;
+    assert_eq!(poses.poses().len() as u32, n_poses);
+    for (k, pose) in (0..).zip(poses.poses()) {
+        assert_eq!(pose.segment, u32::from(last < k), "{k}");
     }
     let (mut closures, _) = read_closures(&read("closures.parquet")).unwrap();
     closures.retain(JudgedClosure::is_accepted);

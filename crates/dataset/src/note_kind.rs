@@ -384,11 +384,13 @@ codes! {
         Warning "scans_of_another_place" ScansOfAnotherPlace {
             /// Number of times.
             n_times: u64,
+            /// Scans between the two places.
+            n_between: u64,
             /// Time of the first one \[s since the epoch\].
             first_secs: f64,
             /// Path before it \[m\].
             travel_m: f64,
-        } => "the scans suddenly show another place than those before, although the odometry goes on ({}; first at {first_secs:.3} s, after {travel_m:.0} m): the robot was carried or took a lift, or logs were joined; a new segment begins there, which is put into the same map only if it shares places with the others; check the log at this time", count(*n_times, "time");
+        } => "the scans suddenly show another place than those before, although the odometry goes on ({}; first at {first_secs:.3} s, after {travel_m:.0} m): the robot was carried or took a lift, or logs were joined; a new segment begins there, which is put into the same map only if it shares places with the others, and {} between get no pose; check the log at this time", count(*n_times, "time"), count(*n_between, "scan");
         /// The odometry differs from the motion that the scans show.
         Warning "odometry_bias" OdometryBias {
             /// Motion per motion of the odometry.

@@ -115,14 +115,12 @@ impl<'a> Registered<'a> {
         let rows = self.tables.registered;
         let after = self.by_stamp.partition_point(|&k| rows[k].stamp_ns <= stamp_ns);
         let row = &rows[self.by_stamp[after.checked_sub(1)?]];
-        let odometry_at = |stamp_ns: i64| {
-            self.tables.odometry.stamped_pose_at(stamp_ns, MAX_INTERPOLATION_NS).ok()
-        };
-        let odometry = odometry_at(stamp_ns)?;
+        let odometry = self.tables.odometry.stamped_pose_at(stamp_ns, MAX_INTERPOLATION_NS).ok()?;
         let step = row.odometry.inverse() * odometry.pose;
         let step_m = step.distance_m(&Pose2::default());
         // `register` can split the segments of the odometry.
-        let is_continuous = odometry.segment == odometry_at(row.stamp_ns)?.segment;
+        let at_row = self.tables.odometry.stamped_pose_at(row.stamp_ns, i64::MAX).ok()?;
+        let is_continuous = odometry.segment == at_row.segment;
         (is_continuous && step_m <= MAX_CARRY_M).then(|| Posed {
             odometry: odometry.pose,
             matched: row.pose * step,

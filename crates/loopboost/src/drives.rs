@@ -124,7 +124,8 @@ pub(crate) fn posed_scans(run: &Run, log: &str) -> Result<Vec<Vec<PosedScan>>> {
 }
 
 /// The same, split as the registered scans are: `register` begins a new segment where the scans show another place
-/// than those before. Scans between two registered ones belong to the first of them.
+/// than those before. Scans between two registered ones belong to the first of them. Those between two segments are
+/// left out: it is not known which of the two places they show. `register` counts them.
 pub(crate) fn posed_scans_of(
     run: &Run,
     log: &str,
@@ -135,10 +136,16 @@ pub(crate) fn posed_scans_of(
     for mut scans in posed_scans(run, log)? {
         let registered = |scan: &PosedScan| segment_of.get(&scan.scan).copied();
         let Some(mut segment) = scans.iter().find_map(registered) else { continue };
-        for scan in &mut scans {
-            segment = registered(scan).unwrap_or(segment);
-            scan.odometry.segment = segment;
+        let mut next = vec![None; scans.len()];
+        for k in (0..scans.len()).rev() {
+            next[k] = registered(&scans[k]).or_else(|| *next.get(k + 1)?);
         }
+        for (scan, next) in scans.iter_mut().zip(&next) {
+            let is_between = registered(scan).is_none() && next.is_some_and(|next| next != segment);
+            segment = registered(scan).unwrap_or(segment);
+            scan.odometry.segment = if is_between { u32::MAX } else { segment };
+        }
+        scans.retain(|scan| scan.odometry.segment != u32::MAX);
         let pieces_of = scans.chunk_by(|a, b| a.odometry.segment == b.odometry.segment);
         pieces.extend(pieces_of.map(<[_]>::to_vec));
     }

@@ -90,7 +90,7 @@ impl Georeference<'_> {
 
     /// Whether a drive of the known map is in the frame of the references.
     fn is_in_frame(&self, known: usize) -> bool {
-        self.site.known_frames.iter().any(|(number, _)| self.site.known_maps[known] == *number)
+        self.site.known_frame.is_some_and(|(number, _)| self.site.known_maps[known] == number)
     }
 
     /// Puts the maps into the frame of their references. Those that the references place become one map.
@@ -213,10 +213,13 @@ impl Georeference<'_> {
             let subject = subject_of(&self.options[source], log);
             let residuals: Vec<Residual> = of_source.iter().map(|(_, r)| **r).collect();
             let agreement = Agreement::of(&residuals);
+            let references: Vec<Reference> = of_source.iter().map(|(r, _)| r.reference).collect();
+            let weight = |is_kept: bool| {
+                let of = references.iter().zip(&residuals).filter(|(_, r)| r.is_kept == is_kept);
+                of.map(|(reference, _)| 1.0 / reference.n_correlated).sum::<f64>()
+            };
             // Others place the map.
-            if agreement.n_used <= agreement.n_outliers {
-                let references: Vec<Reference> =
-                    of_source.iter().map(|(r, _)| r.reference).collect();
+            if weight(true) <= weight(false) {
                 made.notes.push(Note::new(outvoted(&references, &residuals), subject));
                 continue;
             }

@@ -26,8 +26,8 @@ pub(crate) struct KnownMap {
     pub(crate) maps: Vec<u32>,
     /// The accepted closures within and between them. `locate` does not need them.
     pub(crate) closures: Vec<ScanClosure>,
-    /// The numbers and the origins of the maps that are in a frame of absolute references: one per site.
-    pub(crate) frames: Vec<(u32, Option<Origin>)>,
+    /// The number and the origin of the map that is in a frame of absolute references.
+    pub(crate) frame: Option<(u32, Option<Origin>)>,
 }
 
 impl KnownMap {
@@ -40,8 +40,9 @@ impl KnownMap {
         let runs = MapRun::known(run)?;
         let Some(first) = runs.first() else { return Ok(None) };
         let (_, Provenance { notes, .. }) = read_trajectory(&first.path(Artifact::Trajectory, ""))?;
-        let frames = notes.iter().filter_map(|note| frame(&note.kind)).collect();
-        let mut known = Self { frames, ..Self::default() };
+        let frames: Vec<_> = notes.iter().filter_map(|note| frame(&note.kind)).collect();
+        let frame = only_frame(&frames, first.folder())?;
+        let mut known = Self { frame, ..Self::default() };
         let mut names = BTreeSet::new();
         for map in &runs {
             for log in map.logs() {
@@ -128,6 +129,22 @@ fn frame(note: &NoteKind) -> Option<(u32, Option<Origin>)> {
     Some((map, origin()))
 }
 
+/// The frame of references that a run has a map in. An error if there are several, which have no known relation.
+fn only_frame(
+    frames: &[(u32, Option<Origin>)],
+    folder: &Path,
+) -> Result<Option<(u32, Option<Origin>)>> {
+    match frames {
+        [first, second, ..] => Err(usage(format!(
+            "`detect.maps`: {} has several maps in a frame of references ({} and {}), one per site, and it is not known in which of them the new logs are; make a run with the logs of one site, and add to that",
+            folder.display(),
+            first.0,
+            second.0
+        ))),
+        _ => Ok(frames.first().copied()),
+    }
+}
+
 /// The range limits of the registration of a log, from the options of its table.
 fn limits(path: &Path, provenance: &Provenance, log: &str) -> Result<RangeLimits> {
     let options = &provenance.options;
@@ -142,4 +159,22 @@ fn limits(path: &Path, provenance: &Provenance, log: &str) -> Result<RangeLimits
             path.display()
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_of_several_sites_in_frames_of_references_are_refused() {
+        let origin = Some(Origin { latitude_deg: 42.0, longitude_deg: -83.7, altitude_m: 260.0 });
+        let found = |frames: &[(u32, Option<Origin>)]| only_frame(frames, Path::new("runs/both"));
+        assert_eq!(found(&[]).unwrap(), None);
+        assert_eq!(found(&[(2, origin)]).unwrap(), Some((2, origin)));
+        let error = found(&[(0, origin), (3, None)]).unwrap_err().to_string();
+        assert!(
+            error.contains("runs/both has several maps") && error.contains("0 and 3"),
+            "{error}"
+        );
+    }
 }

@@ -290,26 +290,10 @@ fn file_of(run: &Run, options: &ReferenceOptions, log: &LogFile) -> Option<PathB
     Some(run.config.beside_pipeline(&file))
 }
 
-/// The one of the frames of the known maps that references are put into. An error if there are several.
-fn frame_for_references(frames: &[(u32, Option<Origin>)]) -> Result<Option<(u32, Option<Origin>)>> {
-    let Some(&first) = frames.first() else { return Ok(None) };
-    let is_same = |(_, origin): &(u32, Option<Origin>)| origin.is_some() && *origin == first.1;
-    match frames[1..].iter().find(|frame| !is_same(frame)) {
-        Some((other, _)) => Err(usage(format!(
-            "maps {} and {other} of `detect.maps` are in different frames of references, so that it is not known which of them `optimize.references` means; make the earlier map again with the logs of one site, or with one `optimize.origin` for all sites",
-            first.0
-        ))),
-        None => Ok(Some(first)),
-    }
-}
-
 /// The origin of the pipeline, or that of the known map, or the first fix.
 fn origin(run: &Run, site: &SiteDrives, of_logs: &[OfLog<'_>]) -> Result<Option<Origin>> {
     let set = run.config.optimize.origin;
-    let frames = if of_logs.is_empty() { &[] } else { &site.known_frames[..] };
-    let known = frame_for_references(frames)?;
-    let known_number = known.map(|(number, _)| number);
-    let known = known.and_then(|(_, origin)| origin);
+    let known = site.known_frame.and_then(|(_, origin)| origin);
     if let (Some(set), Some(known)) = (set, known)
         && set != known
     {
@@ -327,7 +311,7 @@ fn origin(run: &Run, site: &SiteDrives, of_logs: &[OfLog<'_>]) -> Result<Option<
         Values::Fixes(fixes) => fixes.first(),
         Values::Poses(_) => None,
     });
-    if let (Some(_), Some(number), None, None) = (first, known_number, known, set) {
+    if let (Some(_), Some((number, None)), None) = (first, site.known_frame, set) {
         return Err(usage(format!(
             "map {number} of `detect.maps` is in the frame of surveyed poses, whose place on the earth is not known, so that satellite fixes cannot be used; set `optimize.origin` to the origin of that frame, or remove the topic of fixes from `optimize.references`"
         )));
@@ -486,25 +470,6 @@ mod tests {
         let vague = Some([0.25, 0.0, 0.0, 0.25, 0.0, 9.9]);
         assert_eq!(of_stds(vague, None, None).map(|found| found.has_heading), Some(false));
         assert!(of_stds(None, None, Some(0.1)).is_none());
-    }
-
-    /// Maps of two sites have one frame if they have one origin. Surveyed poses of two sites have no known
-    /// relation.
-    #[test]
-    fn references_need_one_frame() {
-        let origin = |latitude_deg: f64| {
-            Some(Origin { latitude_deg, longitude_deg: -83.7, altitude_m: 260.0 })
-        };
-        let found = |frames: &[(u32, Option<Origin>)]| {
-            frame_for_references(frames).map(|frame| frame.map(|(number, _)| number))
-        };
-        assert_eq!(found(&[]).unwrap(), None);
-        assert_eq!(found(&[(2, None)]).unwrap(), Some(2));
-        assert_eq!(found(&[(0, origin(42.0)), (3, origin(42.0))]).unwrap(), Some(0));
-        for frames in [[(0, origin(42.0)), (3, origin(43.0))], [(0, None), (3, None)]] {
-            let error = found(&frames).unwrap_err().to_string();
-            assert!(error.contains("maps 0 and 3 of `detect.maps`"), "{error}");
-        }
     }
 
     #[test]

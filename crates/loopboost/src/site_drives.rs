@@ -27,8 +27,8 @@ pub(crate) struct SiteDrives {
     pub(crate) known_maps: Vec<u32>,
     /// The closures of the known map.
     pub(crate) known_closures: Vec<ScanClosure>,
-    /// The numbers and the origins of the known maps that are in a frame of absolute references.
-    pub(crate) known_frames: Vec<(u32, Option<Origin>)>,
+    /// The number and the origin of the known map that is in a frame of absolute references.
+    pub(crate) known_frame: Option<(u32, Option<Origin>)>,
 }
 
 /// The sites of the run, each with its logs, in the order of their first logs.
@@ -63,16 +63,16 @@ impl SiteDrives {
     }
 
     fn read(run: &Run, site: String, logs: Vec<LogFile>, known: Option<KnownMap>) -> Result<Self> {
-        let (mut drives, known_poses, known_maps, known_closures, known_frames) = match known {
-            Some(KnownMap { drives, poses, maps, closures, frames }) => {
-                (drives, poses, maps, closures, frames)
+        let (mut drives, known_poses, known_maps, known_closures, known_frame) = match known {
+            Some(KnownMap { drives, poses, maps, closures, frame }) => {
+                (drives, poses, maps, closures, frame)
             }
             None => Default::default(),
         };
         for log in &logs {
             drives.extend(registered_drives(run, &log.name)?);
         }
-        Ok(Self { site, logs, drives, known_poses, known_maps, known_closures, known_frames })
+        Ok(Self { site, logs, drives, known_poses, known_maps, known_closures, known_frame })
     }
 
     /// Number of drives of the known map.

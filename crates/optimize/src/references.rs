@@ -226,8 +226,8 @@ impl<'a> Bend<'a> {
     }
 
     /// The poses of all scans that agree best with the references, if their errors are `scatter` times what
-    /// they state, and the references that agree with them. `None` if that are not more than half of
-    /// them, or if the map bends too much.
+    /// they state, and the references that agree with them. `None` if they do not count more than
+    /// the others, or if the map bends too much.
     fn robust(&self, scatter: f64) -> Option<(Vec<Pose2>, Vec<bool>)> {
         let squared = scatter * scatter;
         let limit = |reference: &Reference| match reference.has_heading {

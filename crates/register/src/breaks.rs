@@ -9,8 +9,10 @@ use crate::target::Target;
 /// The scans of this path before a break are compared with those of the path after it \[m\].
 const BEFORE_M: f64 = 8.0;
 const AFTER_M: f64 = 4.0;
-/// The least number of scans after a break.
-const MIN_AFTER: usize = 3;
+/// The longest path between the scans before and after a break \[m\].
+const MAX_STEP_M: f64 = 1.0;
+/// The least number of scans before and after a break.
+const MIN_SCANS: usize = 3;
 /// At least this share of them agree with each other.
 const MIN_AGREE: f64 = 0.75;
 /// Scans with fewer points say nothing.
@@ -35,35 +37,41 @@ pub(crate) struct Scans<'a> {
 }
 
 impl Scans<'_> {
-    /// The scans from which on nothing is left of what the scans before show, although the scans after them agree
-    /// with each other. A single scan that agrees with nothing is none: a robot that tilts, or people around it.
+    /// The scans from which on nothing is left of what the scans before show, although the scans on both sides agree
+    /// with each other. A single scan that agrees with nothing is none: a robot that tilts, or people around it. A
+    /// robot that is carried back within 4 m is not noticed.
     pub(crate) fn breaks(&self) -> Vec<usize> {
         (1..self.points.len()).filter(|&scan| self.is_break(scan)).collect()
     }
 
     fn is_break(&self, scan: usize) -> bool {
-        let says_something = |k: usize| MIN_POINTS <= self.points[k].len();
-        if OTHER_SHARE <= self.near_shares[scan] || !says_something(scan) {
+        let says_something = |k: &usize| MIN_POINTS <= self.points[*k].len();
+        if OTHER_SHARE <= self.near_shares[scan] || !says_something(&scan) {
             return false;
         }
         let at_m = self.path_m[scan];
-        let end = self.path_m.partition_point(|&m| m <= at_m + AFTER_M);
-        let after: Vec<usize> = (scan + 1..end).filter(|&k| says_something(k)).collect();
-        let agree = after.iter().filter(|&&k| AGREE_SHARE < self.near_shares[k]).count();
-        if after.len() < MIN_AFTER || (agree as f64) < MIN_AGREE * after.len() as f64 {
-            return false;
-        }
         let start = self.path_m.partition_point(|&m| m < at_m - BEFORE_M);
-        let mut before = Points::default();
-        for k in start..scan {
-            before.extend_from(&self.poses[k], &self.points[k]);
-        }
-        if before.len() < MIN_POINTS {
+        let end = self.path_m.partition_point(|&m| m <= at_m + AFTER_M);
+        let before: Vec<usize> = (start..scan).filter(says_something).collect();
+        let after: Vec<usize> = (scan + 1..end).filter(says_something).collect();
+        // After a gap, the robot has simply driven on.
+        let is_sudden = before.last().is_some_and(|&k| at_m - self.path_m[k] <= MAX_STEP_M);
+        if !is_sudden || ![&before, &after].into_iter().all(|scans| self.agree(scans)) {
             return false;
         }
-        let target = Target::new(before, REACH_M);
+        let mut points = Points::default();
+        for k in before {
+            points.extend_from(&self.poses[k], &self.points[k]);
+        }
+        let target = Target::new(points, REACH_M);
         after
             .iter()
             .all(|&k| near_share(&self.points[k], &target, &self.poses[k], REACH_M) < OTHER_SHARE)
+    }
+
+    /// Whether most scans agree with those before them.
+    fn agree(&self, scans: &[usize]) -> bool {
+        let n = scans.iter().filter(|&&k| AGREE_SHARE < self.near_shares[k]).count();
+        MIN_SCANS <= scans.len() && MIN_AGREE * scans.len() as f64 <= n as f64
     }
 }

@@ -257,7 +257,36 @@ impl RegisterOptions {
 /// Registers a drive: chooses scans, learns the error of the odometry from pieces of the drive, matches
 /// each scan with those of the last metres, then aligns all of them together. `limits` are the range
 /// limits of the lidar. `noise` is the error of odometry in general; that of the drive is not larger.
+///
+/// Where the scans suddenly show another place ([`Registered::is_break`]), a new drive begins, which is registered by
+/// itself.
 pub fn register_drive(
+    scans: &[OdometryScan<'_>],
+    limits: RangeLimits,
+    noise: &OdometryNoise,
+    options: &RegisterOptions,
+) -> Vec<Registered> {
+    let registered = register_continuous(scans, limits, noise, options);
+    let breaks: Vec<usize> =
+        registered.iter().filter(|scan| scan.is_break).map(|scan| scan.index).collect();
+    if breaks.is_empty() {
+        return registered;
+    }
+    let starts = [0].into_iter().chain(breaks.iter().copied());
+    let ends = breaks.iter().copied().chain([scans.len()]);
+    let of_part = |(start, end): (usize, usize)| {
+        let mut part = register_continuous(&scans[start..end], limits, noise, options);
+        for (k, scan) in part.iter_mut().enumerate() {
+            scan.index += start;
+            scan.is_break = k == 0 && 0 < start;
+        }
+        part
+    };
+    starts.zip(ends).flat_map(of_part).collect()
+}
+
+/// Registers a drive as if it had no breaks, and finds them.
+fn register_continuous(
     scans: &[OdometryScan<'_>],
     limits: RangeLimits,
     noise: &OdometryNoise,

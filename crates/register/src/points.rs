@@ -170,7 +170,7 @@ impl Motion {
 /// difference of two of them.
 ///
 /// The sums of thousands of returns within 100 m are below 1e8 m^2, so that rounding changes the deviations by less
-/// than 1e-7 m^2. The noise of a few returns of 0.01 m adds 1e-4 m^2 or more.
+/// than 1e-6 m^2. The noise of a few returns of 0.01 m adds 1e-4 m^2 or more.
 struct Sums(Vec<[f64; 5]>);
 
 impl Sums {

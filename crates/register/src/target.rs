@@ -288,7 +288,8 @@ impl<'a> AlongScan<'a> {
         Self { target, last: None }
     }
 
-    /// The target point nearest to the next position, if one is nearer than `max_m`.
+    /// The target point nearest to the next position, if one is nearer than `max_m`. Of two equally near points, it can
+    /// be another one than that of [`Target::nearest`].
     #[inline]
     pub(crate) fn nearest(&mut self, position_m: [f64; 2], max_m: f64) -> Option<usize> {
         let positions = &self.target.points.positions_m;

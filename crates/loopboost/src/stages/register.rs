@@ -38,7 +38,7 @@ fn register(run: &Run, provenance: &Provenance) -> Result<Done> {
     let register = |segment: &Segment| segment.register(options, &keyframes);
     let registered: Vec<RegisteredSegment> =
         segments.par_iter().map(register).collect::<Result<_>>()?;
-    let breaks: Vec<RegisteredScan> =
+    let breaks: Vec<(RegisteredScan, usize)> =
         registered.iter().flat_map(RegisteredSegment::breaks).collect();
     let mut registered = registered.into_iter().flat_map(|segment| segment.rows).peekable();
 
@@ -139,26 +139,28 @@ impl Segment {
         });
         let rows = rows.collect();
         let of_break = registered.iter().enumerate().filter(|(_, scan)| scan.is_break);
-        Ok(RegisteredSegment { rows, breaks: of_break.map(|(k, _)| k).collect() })
+        let n_since = |k: usize| registered[k].index - registered[k - 1].index - 1;
+        Ok(RegisteredSegment { rows, breaks: of_break.map(|(k, _)| (k, n_since(k))).collect() })
     }
 }
 
 /// The registered scans of a segment.
 struct RegisteredSegment {
     rows: Vec<RegisteredScan>,
-    /// The rows from which on the scans show another place.
-    breaks: Vec<usize>,
+    /// The rows from which on the scans show another place, each with the number of scans between it and the row
+    /// before.
+    breaks: Vec<(usize, usize)>,
 }
 
 impl RegisteredSegment {
-    fn breaks(&self) -> impl Iterator<Item = RegisteredScan> + '_ {
-        self.breaks.iter().map(|&k| self.rows[k].clone())
+    fn breaks(&self) -> impl Iterator<Item = (RegisteredScan, usize)> + '_ {
+        self.breaks.iter().map(|&(k, n_between)| (self.rows[k].clone(), n_between))
     }
 }
 
 /// Begins a new segment with each of the breaks.
-fn split(rows: &mut [RegisteredScan], breaks: &[RegisteredScan]) {
-    let breaks: HashSet<&ScanId> = breaks.iter().map(|row| &row.id).collect();
+fn split(rows: &mut [RegisteredScan], breaks: &[(RegisteredScan, usize)]) {
+    let breaks: HashSet<&ScanId> = breaks.iter().map(|(row, _)| &row.id).collect();
     let (mut n_breaks, mut from_m, mut last) = (0, 0.0, None);
     for row in rows {
         if last != Some(row.segment) {
@@ -173,11 +175,12 @@ fn split(rows: &mut [RegisteredScan], breaks: &[RegisteredScan]) {
 }
 
 /// A remark about scans of a log that show another place than those before.
-fn other_places(log: &LogFile, breaks: &[RegisteredScan]) -> Option<Note> {
-    let of_log: Vec<&RegisteredScan> = breaks.iter().filter(|row| row.id.log == log.name).collect();
-    let first = of_log.first()?;
+fn other_places(log: &LogFile, breaks: &[(RegisteredScan, usize)]) -> Option<Note> {
+    let of_log: Vec<_> = breaks.iter().filter(|(row, _)| row.id.log == log.name).collect();
+    let (first, _) = of_log.first()?;
     let kind = NoteKind::ScansOfAnotherPlace {
         n_times: of_log.len() as u64,
+        n_between: of_log.iter().map(|(_, n_between)| *n_between as u64).sum(),
         first_secs: first.stamp_ns as f64 * 1e-9,
         travel_m: first.travel_m,
     };
@@ -254,5 +257,39 @@ fn summary(log: &LogFile, rows: &[RegisteredScan]) -> Summary {
         n_scans: rows.len() as u64,
         n_degenerate: rows.iter().filter(|row| row.is_degenerate).count() as u64,
         length_m: segments.map(|rows| rows[rows.len() - 1].travel_m).sum(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(scan: u32, segment: u32, travel_m: f64) -> RegisteredScan {
+        RegisteredScan {
+            id: ScanId { log: "monday".into(), scan },
+            stamp_ns: i64::from(scan),
+            pose: Pose2::default(),
+            covariance: None,
+            odometry: Pose2::default(),
+            near_share: 1.0,
+            weakness: None,
+            is_degenerate: false,
+            is_keyframe: true,
+            segment,
+            travel_m,
+        }
+    }
+
+    /// A log in two segments. The first one has two breaks.
+    #[test]
+    fn segments_are_split_and_numbered_in_order() {
+        let mut rows: Vec<RegisteredScan> = (0..6).map(|k| row(k, 0, f64::from(k))).collect();
+        rows.extend((6..8).map(|k| row(k, 1, f64::from(k - 6))));
+        let breaks = [(rows[2].clone(), 0), (rows[5].clone(), 3)];
+        split(&mut rows, &breaks);
+        let found: Vec<(u32, f64)> = rows.iter().map(|row| (row.segment, row.travel_m)).collect();
+        let expected =
+            [(0, 0.0), (0, 1.0), (1, 0.0), (1, 1.0), (1, 2.0), (2, 0.0), (3, 0.0), (3, 1.0)];
+        assert_eq!(found, expected);
     }
 }
