@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use dataset::{LocatedScan, LocatedState};
 use dataset::tables::{read_located, read_poses};
+use dataset::{LocatedScan, LocatedState};
 use serde_json::Value;
 
 use crate::detection::{new_drive, run_stages};

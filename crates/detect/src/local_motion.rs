@@ -307,6 +307,35 @@ mod tests {
         assert!(motion.place().is_some());
     }
 
+    /// A robot drives through a round room of 6 m, and a person walks at its side. In the joined scans, there are only
+    /// walls.
+    #[test]
+    fn a_person_who_walks_along_is_left_out() {
+        let limits = RangeLimits { min_m: 0.1, max_m: 25.0 };
+        let mut motion = LocalMotion::new(&RegisterOptions::default(), limits, WITHOUT_NOISE);
+        for k in 0..25 {
+            let x_m = -3.0 + 0.25 * f64::from(k);
+            let mut scan = Scan { coverage_deg: 360.0, ..Scan::default() };
+            for degree in 0..360 {
+                let (sin, cos) = libm::sincos(f64::from(degree).to_radians());
+                let wall_m = (36.0 - x_m * x_m * sin * sin).sqrt() - x_m * cos;
+                let range_m = if (25..40).contains(&degree) { 1.8 } else { wall_m };
+                scan.x_m.push((range_m * cos) as f32);
+                scan.y_m.push((range_m * sin) as f32);
+            }
+            motion.add(&scan, Some(Pose2 { x_m: 0.25, ..Pose2::default() }));
+        }
+        let place = motion.place().unwrap();
+        let points = &place.node.sample().positions_m;
+        assert!(points.len() > 100, "{}", points.len());
+        for &[x_m, y_m] in points {
+            let at = place.local_from_node * Pose2 { x_m, y_m, heading_rad: 0.0 };
+            // The first scan was 3 m before the centre, after a step of 0.25 m.
+            let from_centre_m = libm::hypot(at.x_m - 3.25, at.y_m);
+            assert!((from_centre_m - 6.0).abs() < 0.3, "{at:?}");
+        }
+    }
+
     /// Someone stands close to the lidar, so that some scans have few points.
     #[test]
     fn a_scan_with_few_points_does_not_end_the_path() {

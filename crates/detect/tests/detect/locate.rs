@@ -129,9 +129,9 @@ fn a_position_is_lost_where_the_map_ends_and_found_again() {
     assert_eq!(locator.state(), LocatedState::Located);
     let elsewhere = World::hall(LENGTH_M, 1.2, 9).scans(&beyond, 360, 3);
     let found = states(&mut locator, &elsewhere, &beyond, poses.last().copied());
-    // Scans that the submap shares with the map, and 6 m without a fit.
+    // 10 m until the submap has no scan of the hall, and 6 m without a fit. Later, the drift would be too large.
     let lost = found.iter().position(|state| *state == LocatedState::Lost);
-    assert!(lost.is_some_and(|lost| 50 <= lost), "{lost:?}");
+    assert!(lost.is_some_and(|lost| (60..=160).contains(&lost)), "{lost:?}");
     states(&mut locator, &scans, &poses, beyond.last().copied());
     assert_eq!(locator.state(), LocatedState::Located);
     let position = locator.position().map(|position| position.pose);
@@ -155,27 +155,6 @@ fn a_position_is_lost_where_the_path_begins_anew() {
     room.add_rectangle([-15.0, -14.0], [16.0, 17.0]);
     let elsewhere = room.scans(&[pose(0.0, 0.0, 0.0)], 360, 3);
     assert_eq!(locator.add(&elsewhere[0], None), LocatedState::Lost);
-}
-
-/// A person walks beside the robot and leaves a trail in its scans. The map was made without one. Poses that look
-/// right only with the trail removed.
-#[test]
-fn a_person_who_walks_along_does_not_prevent_a_position() {
-    let world = World::hall(LENGTH_M, 1.2, 5);
-    let (map, detector) = (map_of(&world), Detector::starting_values());
-    let poses = along(10.0, 32.0, 0.1, -0.2);
-    let scans: Vec<Scan> = poses
-        .iter()
-        .zip(0..)
-        .map(|(pose, seed)| {
-            let mut with_person = World(world.0.clone());
-            let [x, y] = [pose.x_m + 1.0, 0.5];
-            with_person.add_rectangle([x, y], [x + 0.4, y + 0.4]);
-            with_person.scans(&[*pose], 360, seed).swap_remove(0)
-        })
-        .collect();
-    let found = positions(&mut locator(&map, &detector), &scans, Some(&poses));
-    assert!(found.first().is_some_and(|(k, _)| *k <= 130), "{:?}", found.first());
 }
 
 #[test]
