@@ -81,9 +81,12 @@ fn logs_that_cannot_be_located_are_reported() {
     assert!(!with_odometry.is_empty());
 
     // Without the odometry, the path is another one.
-    let done = locate(&["bad.mcap", "other.mcap"], &["--no-odometry"])
-        .expect(3)
-        .says(&["error[log_not_located]: bad:", "not_located]: other:"]);
+    let done = locate(&["bad.mcap", "other.mcap"], &["--no-odometry"]).expect(3).says(&[
+        "error[log_not_located]: ",
+        "(log `bad`)",
+        "warning[not_located]: ",
+        "(log `other`)",
+    ]);
     let summary: Value = serde_json::from_str(&done.stdout).unwrap();
     assert_eq!(summary["logs"].as_array().map(Vec::len), Some(1));
     assert_eq!(summary["logs"][0]["has_odometry"], false);
