@@ -98,7 +98,7 @@ fn logs_that_cannot_be_located_are_reported() {
 
     let pipeline = workplace.path("half.toml");
     let options = ["--pipeline", pipeline.to_str().unwrap()];
-    locate(&["half.mcap"], &options).expect(1).says(&["cover 18", "those of the map 360 deg"]);
+    locate(&["half.mcap"], &options).expect(1).says(&["cover 179 deg", "those of the map 360 deg"]);
     locate(&["half.mcap"], &[]).expect(1).says(&["name a pipeline for it with --pipeline"]);
     locate(&["half.mcap", "bad.mcap"], &options).expect(1).says(&["half: ", "bad: "]);
 }
