@@ -1,12 +1,14 @@
 //! `locate`: a short simulated drive in the map of another drive.
 
+use std::fs;
 use std::path::Path;
 
-use dataset::LocatedState;
 use dataset::tables::{read_located, read_poses};
+use dataset::{LocatedScan, LocatedState};
 use serde_json::Value;
 
 use crate::detection::{new_drive, run_stages};
+use crate::made_planar::half_circle_log;
 use crate::support::{Workplace, loopboost};
 
 /// The log that the map was made from is located where the map has it.
@@ -39,6 +41,66 @@ fn a_log_is_located_in_the_map_of_its_own_drive() {
     let error = loopboost(&["locate", "--map", &map, &log, "--map-log", "monday", "--out", &out]);
     assert_eq!(error.code, 2, "{}", error.stderr);
     assert!(error.stderr.contains("no such log, expected one of `friday`"), "{}", error.stderr);
+}
+
+/// A log of another building is not located. A log that cannot be read, or that is from another kind of scanner,
+/// does not stop the others.
+#[test]
+fn logs_that_cannot_be_located_are_reported() {
+    let workplace = Workplace::new(&new_drive());
+    run_stages(&workplace, "map", 2);
+    let other = Workplace::new(&new_drive().replace("seed = 7", "seed = 8").replace("330", "60"));
+    other.command("simulate", "run", &[]).expect(0);
+    fs::copy(other.path("run/logs/friday.mcap"), workplace.path("other.mcap")).unwrap();
+    fs::write(workplace.path("half.mcap"), half_circle_log()).unwrap();
+    fs::write(workplace.path("bad.mcap"), "not a log").unwrap();
+    fs::write(
+        workplace.path("half.toml"),
+        "[ingest]\nlogs = [\"half.mcap\"]\nlidar.topic = \"/scan\"\n",
+    )
+    .unwrap();
+    let out = workplace.path("located.parquet");
+    let locate = |logs: &[&str], more: &[&str]| {
+        let paths: Vec<String> = ["map"]
+            .iter()
+            .chain(logs)
+            .map(|name| workplace.path(name).to_string_lossy().into_owned())
+            .collect();
+        let mut args = vec!["locate", "--json", "--out", out.to_str().unwrap(), "--map"];
+        args.extend(paths.iter().map(String::as_str));
+        args.extend(more);
+        loopboost(&args)
+    };
+    let table = || read_located(&out).unwrap().0;
+
+    let done = locate(&["other.mcap"], &[]).expect(3).says(&["not_located"]);
+    let summary: Value = serde_json::from_str(&done.stdout).unwrap();
+    assert_eq!(summary["logs"][0]["has_odometry"], true);
+    assert_eq!(summary["logs"][0]["n_located"], 0);
+    let with_odometry = table();
+    assert!(!with_odometry.is_empty());
+
+    // Without the odometry, the path is another one.
+    let done = locate(&["bad.mcap", "other.mcap"], &["--no-odometry"]).expect(3).says(&[
+        "error[log_not_located]: ",
+        "(log `bad`)",
+        "warning[not_located]: ",
+        "(log `other`)",
+    ]);
+    let summary: Value = serde_json::from_str(&done.stdout).unwrap();
+    assert_eq!(summary["logs"].as_array().map(Vec::len), Some(1));
+    assert_eq!(summary["logs"][0]["has_odometry"], false);
+    let rows = table();
+    assert_eq!(rows.len(), with_odometry.len());
+    let paths_m = |rows: &[LocatedScan]| rows.last().map(|row| row.travel_m);
+    assert_ne!(paths_m(&rows), paths_m(&with_odometry));
+    assert!(rows.iter().all(|row| row.id.log.to_string() == "other"));
+
+    let pipeline = workplace.path("half.toml");
+    let options = ["--pipeline", pipeline.to_str().unwrap()];
+    locate(&["half.mcap"], &options).expect(1).says(&["cover 179 deg", "those of the map 360 deg"]);
+    locate(&["half.mcap"], &[]).expect(1).says(&["name a pipeline for it with --pipeline"]);
+    locate(&["half.mcap", "bad.mcap"], &options).expect(1).says(&["half: ", "bad: "]);
 }
 
 #[test]

@@ -217,6 +217,11 @@ fn planar_log(pose_type: &'static str, encoding: Encoding, schema: Schema) -> Ve
     log(&messages, schema)
 }
 
+/// A log of a scanner with a view of 180 deg. Its scans are on `/scan`.
+pub fn half_circle_log() -> Vec<u8> {
+    planar_log(ROS_POSES[0], ROS[0], Schema::Empty)
+}
+
 fn check(logs: &Logs, code: i32) {
     let options = ["ingest.lidar.topic=/scan", "ingest.pose.topic=/pose"];
     let ingested = logs.ingest(&options, code);

@@ -265,6 +265,11 @@ codes! {
             /// Path by scan matching \[m\].
             travel_m: f64,
         } => "none of {} was located in the map, over {travel_m:.1} m of path: no pose was found from enough places along the path, or two poses fit nearly as well", count(*n_scans, "scan");
+        /// A log could not be read by `locate`. The other logs were located.
+        Error "log_not_located" LogNotLocated {
+            /// What is wrong with it.
+            reason: String,
+        } => "the log was left out: {reason}";
         /// A position in the map was lost.
         Info "position_lost" PositionLost {
             /// How often.

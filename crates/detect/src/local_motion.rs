@@ -13,7 +13,7 @@ use register::{
 const WINDOW_M: f64 = 10.0;
 /// The most scans that are joined. A robot that turns on the spot drives no path.
 const MAX_SCANS: usize = 64;
-/// Scans with fewer points than this are not joined.
+/// Scans with fewer points than this are not joined, and not matched without odometry.
 const MIN_POINTS: usize = 15;
 /// What a robot can do: the changes of its speed \[m/s^2, rad/s^2\], and its speed before anything is known of it
 /// \[m/s, rad/s\]. Wide guesses, so that the scans decide; but a robot does not jump where they say little.
@@ -67,6 +67,8 @@ pub(crate) struct LocalMotion {
     stamp_ns: Option<i64>,
     /// The speed by the last scan that determined its position.
     speed: Option<Speed>,
+    /// The time of the scans since the last one that was matched, without odometry \[s\].
+    unmatched_secs: f64,
     window: VecDeque<Kept>,
     path_m: f64,
     /// Whether the last scan determined its position.
@@ -112,6 +114,7 @@ impl LocalMotion {
             last: Pose2::default(),
             stamp_ns: None,
             speed: None,
+            unmatched_secs: 0.0,
             window: VecDeque::new(),
             path_m: 0.0,
             is_decided: true,
@@ -150,14 +153,25 @@ impl LocalMotion {
         self.last
     }
 
-    /// Each scan is matched. One that does not determine its position does not change the speed.
+    /// Each scan is matched. One that does not determine its position does not change the speed. One with too few
+    /// points says nothing: the robot is where the speed takes it, and the path goes on.
     fn add_without_odometry(&mut self, scan: &Scan, secs: f64) -> Pose2 {
         let (spacing_m, turn_rad) = self.spacing(scan);
         let expected = self.speed.unwrap_or_default().step(secs);
         self.odometry = self.odometry * expected;
+        let secs = self.unmatched_secs + secs;
+        let points = points_of(scan, self.far_limits);
+        if points.len() < MIN_POINTS {
+            self.unmatched_secs = secs;
+            self.is_decided = false;
+            self.last = self.last * expected;
+            return self.last;
+        }
+        self.unmatched_secs = 0.0;
+        let noise_secs = secs.min(LONGEST_SECS);
         let [std_m, std_rad] = match self.speed {
-            Some(_) => [CHANGE_M * secs * secs, CHANGE_RAD * secs * secs],
-            None => [SPEED_M * secs, SPEED_RAD * secs],
+            Some(_) => [CHANGE_M * noise_secs * noise_secs, CHANGE_RAD * noise_secs * noise_secs],
+            None => [SPEED_M * noise_secs, SPEED_RAD * noise_secs],
         };
         self.matcher.set_usual_noise(OdometryNoise {
             std_m_per_m: 0.1,
@@ -166,21 +180,22 @@ impl LocalMotion {
             std_rad: std_rad.max(LEAST_RAD),
         });
         let near_points = points_of(scan, self.limits);
-        let matched = self.matcher.add(points_of(scan, self.far_limits), &self.odometry);
+        let matched = self.matcher.add(points, &self.odometry);
         self.matcher.leave_out_close(spacing_m, turn_rad);
-        let step = self.last.inverse() * matched.pose;
         self.last = matched.pose;
-        self.matched = Some([self.odometry, self.last]);
-        // The first scan has nothing to be matched with.
-        let is_first = matched.covariance.is_none();
-        self.is_decided = is_first
+        let before = self.matched.replace([self.odometry, self.last]).map(|[_, pose]| pose);
+        self.is_decided = before.is_none()
             || is_decided(matched.near_share, matched.weakness.map(|weakness| weakness.ratio));
-        if self.is_decided && !is_first {
-            self.speed = Some(Speed::of(&step, secs));
-        } else if let Some(speed) = &mut self.speed {
-            speed.heading_rad *= KEPT_TURN;
+        match before.filter(|_| self.is_decided) {
+            Some(before) => self.speed = Some(Speed::of(&(before.inverse() * self.last), secs)),
+            None => {
+                if let Some(speed) = &mut self.speed {
+                    speed.heading_rad *= KEPT_TURN;
+                }
+            }
         }
-        self.is_broken = matched.near_share < CONNECTED_SHARE;
+        // A scan that was not used has no near points, and says nothing either.
+        self.is_broken = matched.is_used && matched.near_share < CONNECTED_SHARE;
         if self.is_broken {
             self.window.clear();
         }
@@ -234,7 +249,7 @@ impl LocalMotion {
         self.path_m
     }
 
-    /// The scans of the last metres, joined in the frame of the one in the middle of the path.
+    /// The scans of the last metres, joined in the frame of the one in the middle of the path, without what moved.
     pub(crate) fn place(&self) -> Option<LocalPlace> {
         let middle_m = (self.window.front()?.path_m + self.window.back()?.path_m) / 2.0;
         let middle = self.window.iter().find(|scan| middle_m <= scan.path_m)?;
@@ -248,7 +263,7 @@ impl LocalMotion {
                 points: &kept.points,
             })
             .collect();
-        let node = Node::new(&members, &SubmapOptions::default());
+        let node = Node::of_still(&members, &SubmapOptions::default());
         Some(LocalPlace { node, local_from_node: middle.pose })
     }
 }
@@ -290,6 +305,50 @@ mod tests {
         }
         assert!(motion.window.len() < MAX_SCANS / 2);
         assert!(motion.place().is_some());
+    }
+
+    /// A robot drives through a round room of 6 m, and a person walks at its side. In the joined scans, there are only
+    /// walls.
+    #[test]
+    fn a_person_who_walks_along_is_left_out() {
+        let limits = RangeLimits { min_m: 0.1, max_m: 25.0 };
+        let mut motion = LocalMotion::new(&RegisterOptions::default(), limits, WITHOUT_NOISE);
+        for k in 0..25 {
+            let x_m = -3.0 + 0.25 * f64::from(k);
+            let mut scan = Scan { coverage_deg: 360.0, ..Scan::default() };
+            for degree in 0..360 {
+                let (sin, cos) = libm::sincos(f64::from(degree).to_radians());
+                let wall_m = (36.0 - x_m * x_m * sin * sin).sqrt() - x_m * cos;
+                let range_m = if (25..40).contains(&degree) { 1.8 } else { wall_m };
+                scan.x_m.push((range_m * cos) as f32);
+                scan.y_m.push((range_m * sin) as f32);
+            }
+            motion.add(&scan, Some(Pose2 { x_m: 0.25, ..Pose2::default() }));
+        }
+        let place = motion.place().unwrap();
+        let points = &place.node.sample().positions_m;
+        assert!(points.len() > 100, "{}", points.len());
+        for &[x_m, y_m] in points {
+            let at = place.local_from_node * Pose2 { x_m, y_m, heading_rad: 0.0 };
+            // The first scan was 3 m before the centre, after a step of 0.25 m.
+            let from_centre_m = libm::hypot(at.x_m - 3.25, at.y_m);
+            assert!((from_centre_m - 6.0).abs() < 0.3, "{at:?}");
+        }
+    }
+
+    /// Someone stands close to the lidar, so that some scans have few points.
+    #[test]
+    fn a_scan_with_few_points_does_not_end_the_path() {
+        let limits = RangeLimits { min_m: 0.1, max_m: 25.0 };
+        let mut motion = LocalMotion::new(&RegisterOptions::default(), limits, WITHOUT_NOISE);
+        let few = Scan { x_m: vec![0.5; 3], y_m: vec![-0.1, 0.0, 0.1], ..room(3.0) };
+        for (k, scan) in [room(3.0), room(3.0), few.clone(), few, room(3.0)].iter().enumerate() {
+            motion.add(scan, None);
+            assert!(!motion.is_broken(), "{k}");
+            assert_eq!(motion.is_decided(), scan.len() > 3, "{k}");
+        }
+        assert_eq!(motion.window.len(), 1);
+        assert!(motion.last.distance_m(&Pose2::default()) < 1e-3);
     }
 
     /// The lidar sees another room from one scan to the next.

@@ -5,7 +5,7 @@ use model::{Detector, StrongLimits};
 use nalgebra::Matrix3;
 use register::{AlignOptions, Fit, RegisterOptions, closure_covariance, fit};
 
-use crate::candidates::{Correlated, N_CORRELATED, correlate, evidence_of, options, value};
+use crate::candidates::{Correlated, correlate, evidence_of, options, value};
 use crate::descriptor::Describer;
 use crate::estimate::Estimate;
 use crate::local_motion::{LocalMotion, LocalPlace};
@@ -29,17 +29,20 @@ pub struct Position {
 
 /// Finds and follows the position of a robot in a map.
 ///
-/// 1. The scans of the last 10 m of path are matched with each other and joined into a submap.
-/// 2. While the position is unknown: every 0.8 m, the 50 places of the map with the most similar descriptors are
+/// 1. The scans of the last 10 m of path are matched with each other and joined into a submap, without the
+///    returns of what moved, see [`Node::of_still`](register::Node::of_still).
+/// 2. While the position is unknown: every 0.8 m, the 100 places of the map with the most similar descriptors are
 ///    compared with the submap by correlation. The best poses, eight or `n_candidates` that differ, are aligned.
 ///    Each is a vote, with the confidence of the detector. The eight poses that the positions before support
-///    best are aligned as well, so that a place is not missed because the search did not offer it.
-/// 3. A vote speaks for a pose if its confidence is at least `min_confidence`. Its weight is the difference of the
-///    log odds of the two, at most 9. The lead of a pose is the same sum, but over the most confident vote that
-///    contradicts it at the same position. A pose is accepted after 9 m of path if at least 4 positions along
-///    at least 3 m of path vote for it, if these are at least half of the positions since one of them, if its lead
-///    is at least 24, and if no other pose has more than 0.7 of its weight. So a place that looks like another one
-///    gives no answer. At last, the submap has to fit the nearest places of the map.
+///    best are aligned as well, so that a place is not missed because the search did not offer it. Earlier
+///    positions are asked about the best three.
+/// 3. A vote speaks for a pose if its confidence is at least 0.25, or `min_confidence` if that is more. Its weight is
+///    the difference of the log odds of the two, at most 9. The lead of a pose is the same sum, but over the
+///    most confident vote that contradicts it at the same position. A pose is accepted after 9 m of path if
+///    at least 4 positions along at least 3 m of path vote for it, if these are at least half of the positions
+///    since one of them, if its lead is at least 20, and if no other pose has more than 0.7 of its weight. So a
+///    place that looks like another one gives no answer. At last, the submap has to fit the nearest places of
+///    the map.
 /// 4. Then, every 0.8 m, the submap is aligned with the nearest places of the map. The confidence of the position is
 ///    that of the last alignment, also if it does not fit. If none fits for 6 m of path, if the standard
 ///    deviation of the position exceeds 0.5 m, or if without odometry a scan does not continue those before,
@@ -55,7 +58,7 @@ pub struct Locator<'a> {
     motion: LocalMotion,
     /// The pose of the last scan in the local frame.
     last: Pose2,
-    votes: Votes,
+    votes: Votes<LocalPlace>,
     state: LocatedState,
     tracked: Option<Tracked>,
     /// The path at the first scan of those that are connected \[m\].
@@ -77,6 +80,9 @@ struct Tracked {
 const MIN_PATH_M: f64 = 3.0;
 /// Path between two comparisons \[m\].
 const STEP_M: f64 = 0.8;
+/// Number of places that a position is compared with by correlation. Outdoors, parked cars and hidden ground change
+/// the descriptors more than the walls and trees.
+const N_SEARCHED: usize = 100;
 /// Number of candidates per position, or `n_candidates` if that is more. A look-alike must not win because the right
 /// pose was not looked at.
 const N_VOTES: usize = 8;
@@ -97,8 +103,15 @@ const MIN_KNOWN: usize = 30;
 const CONFIRMS: StrongLimits = StrongLimits { known_overlap: 0.5, conflict: 0.3 };
 /// Number of poses that other positions voted for, and that each position is asked about.
 const N_CARRIED: usize = 8;
+/// Number of poses that earlier positions are asked about, and number of positions that are asked about each, per
+/// step: a pose may be found late, where a place looks more like itself.
+const N_FILLED: usize = 3;
+const N_EARLIER: usize = 6;
+/// The least confidence from which a vote speaks for a pose. `min_confidence` of the detector may be less: it
+/// leaves candidates to a later stage that compares them.
+const LEAST_CONFIDENCE: f64 = 0.25;
 /// The points do not determine the position if the ratio of the smallest to the largest information is less.
-const DEGENERATE_RATIO: f64 = 0.1;
+const DEGENERATE_RATIO: f64 = 0.05;
 /// Path without a comparison that fits, after which the position is lost \[m\].
 const LOST_M: f64 = 6.0;
 /// A position with a larger standard deviation along its worst direction is lost \[m\].
@@ -123,7 +136,7 @@ impl<'a> Locator<'a> {
             options: options(),
             motion: LocalMotion::new(register, limits, detector.odometry),
             last: Pose2::default(),
-            votes: Votes::new(detector.min_confidence),
+            votes: Votes::new(detector.min_confidence.max(LEAST_CONFIDENCE)),
             state: LocatedState::Searching,
             tracked: None,
             start_m: 0.0,
@@ -156,7 +169,7 @@ impl<'a> Locator<'a> {
             if let Some(place) = self.motion.place() {
                 match self.tracked.take() {
                     Some(tracked) => self.follow(tracked, &place),
-                    None => self.search(&place),
+                    None => self.search(place),
                 }
             }
         }
@@ -183,13 +196,14 @@ impl<'a> Locator<'a> {
         self.motion.path_m()
     }
 
-    fn search(&mut self, place: &LocalPlace) {
-        let mut votes = self.candidates(place);
+    fn search(&mut self, place: LocalPlace) {
+        let mut votes = self.candidates(&place);
         for leader in self.votes.leaders(N_CARRIED) {
-            votes.extend(self.carry(place, &leader));
+            votes.extend(self.carry(&place, &leader));
         }
-        self.votes.add(self.motion.path_m() - self.start_m, votes);
-        let Some(winner) = self.votes.winner() else { return };
+        self.votes.add(self.motion.path_m() - self.start_m, place, votes);
+        self.ask_earlier();
+        let (Some(winner), Some(place)) = (self.votes.winner(), self.votes.last()) else { return };
         let expected = winner.map_from_local * self.last;
         let compared = self.compare(place, winner.map, &expected);
         let certain = compared.estimate.filter(|estimate| estimate.std_m() <= MAX_STD_M);
@@ -202,12 +216,28 @@ impl<'a> Locator<'a> {
         }
     }
 
+    /// Asks earlier positions about the best poses, if they have no vote for them.
+    fn ask_earlier(&mut self) {
+        for leader in self.votes.leaders(N_FILLED) {
+            let ask = |(position, place): (usize, &LocalPlace)| {
+                let vote = self.carry(place, &leader).filter(|vote| vote.agrees(&leader));
+                // A position that does not agree is not asked again.
+                let none = Vote { confidence: 0.0, local: place.local_from_node, ..leader };
+                (position, vote.unwrap_or(none))
+            };
+            let votes: Vec<_> = self.votes.without(&leader).take(N_EARLIER).map(ask).collect();
+            for (position, vote) in votes {
+                self.votes.add_to(position, vote);
+            }
+        }
+    }
+
     /// Poses in the map that the submap fits.
     fn candidates(&self, place: &LocalPlace) -> Vec<Vote> {
         let Some(describer) = &self.describer else { return Vec::new() };
         let nodes = &self.map.nodes;
         let row = describer.describe(place.node.submap());
-        let similar = self.map.descriptors.most_similar_to(&row, N_CORRELATED);
+        let similar = self.map.descriptors.most_similar_to(&row, N_SEARCHED);
         let references: Vec<usize> = similar.iter().map(|similar| similar.reference).collect();
         let correlated = correlate(nodes, &place.node, &references);
         let node_from_local = place.local_from_node.inverse();

@@ -2,10 +2,9 @@
 
 use dataset::Pose2;
 use rayon::prelude::*;
-use register::{Drive, Node};
+use register::{Drive, Node, SubmapOptions, members_around, places};
 
 use crate::descriptor::Describer;
-use crate::places::Places;
 use crate::retrieval::Descriptors;
 
 /// A drive of a map.
@@ -35,14 +34,18 @@ const TURN_M: f64 = 2.0;
 
 impl LocatorMap {
     /// Makes the places of drives: one per `step_m` of path, each with the scans up to `half_m` before and
-    /// after it, see [`Places::new`].
+    /// after it, as [`Places::new`](crate::Places::new) does, but without what moved while the robot drove past.
     pub fn new(drives: &[MapDrive<'_>], step_m: f64, half_m: f64) -> Self {
         let (mut nodes, mut poses, mut maps) = (Vec::new(), Vec::new(), Vec::new());
         for MapDrive { drive, poses: of_drive, map } in drives {
-            let places = Places::new(drive, of_drive, step_m, half_m);
-            poses.extend(places.scans.iter().map(|&scan| of_drive[scan]));
-            maps.extend(places.scans.iter().map(|_| *map));
-            nodes.extend(places.nodes);
+            let scans = places(drive, step_m);
+            let node = |&scan: &usize| {
+                let members = members_around(drive, of_drive, scan, half_m);
+                Node::of_still(&members, &SubmapOptions::default())
+            };
+            poses.extend(scans.iter().map(|&scan| of_drive[scan]));
+            maps.extend(scans.iter().map(|_| *map));
+            nodes.par_extend(scans.par_iter().map(node));
         }
         let rows: Vec<Vec<f32>> = match nodes.first() {
             Some(first) => {

@@ -59,6 +59,7 @@ mod node;
 mod odometry;
 mod points;
 mod sparse;
+mod still;
 mod submap;
 mod target;
 mod uncertainty;
@@ -70,7 +71,7 @@ pub use drive::{
 };
 pub use joint::{JointOptions, JointScans, align_jointly, pairs_along_path, relative_derivatives};
 pub use matcher::{Matched, MatcherOptions, ScanMatcher, is_decided};
-pub use node::{Fit, Node, NodeMember, fit, fit_options, places};
+pub use node::{Fit, Node, NodeMember, fit, fit_options, members_around, places};
 pub use odometry::{OdometryModel, OdometryStep};
 pub use points::Points;
 pub use sparse::{BlockSystem, Factor};

@@ -5,6 +5,7 @@ use dataset::{Pose2, Scan};
 use crate::align::{AlignOptions, Alignment, Prior, align};
 use crate::drive::Drive;
 use crate::points::{Motion, Points, length};
+use crate::still::StillSquares;
 use crate::submap::{Member, Square, Submap, SubmapOptions};
 use crate::target::Target;
 
@@ -41,6 +42,12 @@ const OVERLAP_M: f64 = 0.12;
 /// The smallest cosine of the angle between two similar normals: 45 deg.
 const OVERLAP_COS: f64 = 0.7;
 
+/// The members as those of a submap.
+fn of_submap<'a>(members: &[NodeMember<'a>]) -> Vec<Member<'a>> {
+    let member = |m: &NodeMember<'a>| Member { node_from_scan: m.node_from_scan, scan: m.scan };
+    members.iter().map(member).collect()
+}
+
 impl Node {
     /// Joins scans.
     pub fn new(members: &[NodeMember<'_>], options: &SubmapOptions) -> Self {
@@ -52,15 +59,38 @@ impl Node {
         }
         let points = points.thin(TARGET_VOXEL_M);
         let sample = points.thin(SAMPLE_VOXEL_M);
-        let squares: Vec<Member<'_>> = members
-            .iter()
-            .map(|m| Member { node_from_scan: m.node_from_scan, scan: m.scan })
-            .collect();
         Self {
             target: Target::new(points, REACH_M),
             sample,
-            submap: Submap::new(&squares, options),
+            submap: Submap::new(&of_submap(members), options),
         }
+    }
+
+    /// Joins scans, without the returns of things that move while the scans are taken.
+    ///
+    /// A return is kept if at least 0.35 of the scans that look at its position see something there: their nearest
+    /// return within 3 deg of its direction is at most 0.5 m nearer or farther. A scan does not count if its
+    /// return is nearer than that, because it does not see the position. A scan with a full circle and no return in
+    /// that direction sees nothing there, up to 10 m.
+    pub fn of_still(members: &[NodeMember<'_>], options: &SubmapOptions) -> Self {
+        let mut squares = StillSquares::new(&of_submap(members));
+        let still: Vec<(Scan, Points)> = members
+            .iter()
+            .zip(of_submap(members))
+            .map(|(member, joined)| {
+                (squares.scan(&joined), squares.points(&member.node_from_scan, member.points))
+            })
+            .collect();
+        let of_still: Vec<NodeMember<'_>> = members
+            .iter()
+            .zip(&still)
+            .map(|(member, (scan, points))| NodeMember {
+                node_from_scan: member.node_from_scan,
+                scan,
+                points,
+            })
+            .collect();
+        Self::new(&of_still, options)
     }
 
     /// The points, for alignments.
@@ -189,10 +219,33 @@ pub fn places(drive: &Drive<'_>, step_m: f64) -> Vec<usize> {
     places
 }
 
+/// The scans of a drive up to `half_m` of path before and after a scan, in the frame of that scan. `poses` are the
+/// poses of all scans of the drive. Scans with fewer than 15 points are left out: they say little, and
+/// their poses are badly known.
+pub fn members_around<'a>(
+    drive: &'a Drive<'_>,
+    poses: &[Pose2],
+    scan: usize,
+    half_m: f64,
+) -> Vec<NodeMember<'a>> {
+    let from_m = drive.path_m[scan] - half_m;
+    let to_m = drive.path_m[scan] + half_m;
+    // The path never becomes shorter.
+    let first = drive.path_m.partition_point(|&m| m < from_m);
+    let last = drive.path_m.partition_point(|&m| m <= to_m);
+    let node_from_map = poses[scan].inverse();
+    (first..last)
+        .filter(|&k| MIN_MEMBER_POINTS <= drive.points[k].len())
+        .map(|k| NodeMember {
+            node_from_scan: node_from_map * poses[k],
+            scan: drive.scans[k],
+            points: &drive.points[k],
+        })
+        .collect()
+}
+
 impl Node {
-    /// Joins the scans of a drive up to `half_m` of path before and after a scan. `poses` are the poses
-    /// of all scans of the drive. Scans with fewer than 15 points are left out: they say little, and
-    /// their poses are badly known.
+    /// Joins the scans around a scan of a drive, see [`members_around`].
     pub fn around(
         drive: &Drive<'_>,
         poses: &[Pose2],
@@ -200,20 +253,6 @@ impl Node {
         half_m: f64,
         options: &SubmapOptions,
     ) -> Self {
-        let from_m = drive.path_m[scan] - half_m;
-        let to_m = drive.path_m[scan] + half_m;
-        // The path never becomes shorter.
-        let first = drive.path_m.partition_point(|&m| m < from_m);
-        let last = drive.path_m.partition_point(|&m| m <= to_m);
-        let node_from_map = poses[scan].inverse();
-        let members: Vec<NodeMember<'_>> = (first..last)
-            .filter(|&k| MIN_MEMBER_POINTS <= drive.points[k].len())
-            .map(|k| NodeMember {
-                node_from_scan: node_from_map * poses[k],
-                scan: drive.scans[k],
-                points: &drive.points[k],
-            })
-            .collect();
-        Self::new(&members, options)
+        Self::new(&members_around(drive, poses, scan, half_m), options)
     }
 }

@@ -212,7 +212,7 @@ fn nearest_returns(scan: &Scan, options: &SubmapOptions, nearest_m: &mut [f64]) 
 }
 
 /// The sector of a direction.
-fn sector(p: [f64; 2], n: usize) -> usize {
+pub(crate) fn sector(p: [f64; 2], n: usize) -> usize {
     ((turns(p) * n as f64) as usize) % n
 }
 

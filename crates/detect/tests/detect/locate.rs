@@ -101,23 +101,60 @@ fn another_building_gives_no_position() {
     }
 }
 
-/// A door to another building: after some metres, no scan fits the map.
+/// The states at scans of a drive by odometry. `before` is the pose of the scan before, if there is one.
+fn states(
+    locator: &mut Locator<'_>,
+    scans: &[Scan],
+    poses: &[Pose2],
+    mut before: Option<Pose2>,
+) -> Vec<LocatedState> {
+    let mut states = Vec::new();
+    for (scan, pose) in scans.iter().zip(poses) {
+        let step = before.replace(*pose).map(|before| before.inverse() * *pose);
+        states.push(locator.add(scan, step));
+    }
+    states
+}
+
+/// A door to another building: after 6 m of path, no scan fits the map. The odometry goes on, so the path does not
+/// begin anew.
 #[test]
 fn a_position_is_lost_where_the_map_ends_and_found_again() {
     let world = World::hall(LENGTH_M, 1.2, 5);
     let (map, detector) = (map_of(&world), Detector::starting_values());
-    let poses = along(5.0, 30.0, 0.1, -0.2);
+    let [poses, beyond] = [along(3.0, 20.0, 0.1, -0.2), along(20.1, 42.0, 0.1, -0.2)];
     let mut locator = locator(&map, &detector);
     let scans = world.scans(&poses, 360, 2);
-    assert!(!positions(&mut locator, &scans, Some(&poses)).is_empty());
-    let elsewhere = World::hall(LENGTH_M, 1.2, 9).scans(&poses, 360, 3);
-    positions(&mut locator, &elsewhere, Some(&poses));
-    assert_eq!(locator.state(), LocatedState::Lost);
-    let found = positions(&mut locator, &scans, Some(&poses));
-    for (k, position) in &found {
-        assert!(position.pose.distance_m(&poses[*k]) < 0.3, "{k}: {position:?}");
-    }
+    states(&mut locator, &scans, &poses, None);
     assert_eq!(locator.state(), LocatedState::Located);
+    let elsewhere = World::hall(LENGTH_M, 1.2, 9).scans(&beyond, 360, 3);
+    let found = states(&mut locator, &elsewhere, &beyond, poses.last().copied());
+    // 10 m until the submap has no scan of the hall, and 6 m without a fit. Later, the drift would be too large.
+    let lost = found.iter().position(|state| *state == LocatedState::Lost);
+    assert!(lost.is_some_and(|lost| (60..=160).contains(&lost)), "{lost:?}");
+    states(&mut locator, &scans, &poses, beyond.last().copied());
+    assert_eq!(locator.state(), LocatedState::Located);
+    let position = locator.position().map(|position| position.pose);
+    let last = poses[poses.len() - 1];
+    assert!(position.is_some_and(|pose| pose.distance_m(&last) < 0.3), "{position:?}");
+}
+
+/// Without odometry, a position ends with the path.
+#[test]
+fn a_position_is_lost_where_the_path_begins_anew() {
+    let world = World::hall(LENGTH_M, 1.2, 5);
+    let (map, detector) = (map_of(&world), Detector::starting_values());
+    let poses = along(10.0, 30.0, 0.1, -0.2);
+    let mut locator = locator(&map, &detector);
+    positions(&mut locator, &world.scans(&poses, 360, 2), None);
+    assert_eq!(locator.state(), LocatedState::Located);
+    // Someone stands before the lidar: too few points to say anything.
+    let few = Scan { x_m: vec![0.5; 3], y_m: vec![-0.1, 0.0, 0.1], ..Scan::default() };
+    assert_eq!(locator.add(&few, None), LocatedState::Located);
+    let mut room = World(Vec::new());
+    room.add_rectangle([-15.0, -14.0], [16.0, 17.0]);
+    let elsewhere = room.scans(&[pose(0.0, 0.0, 0.0)], 360, 3);
+    assert_eq!(locator.add(&elsewhere[0], None), LocatedState::Lost);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 mod places;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
@@ -91,6 +91,14 @@ struct QueryLog {
     notes: Vec<Note>,
 }
 
+/// What came of a log.
+struct Located {
+    inputs: BTreeMap<String, String>,
+    rows: Vec<LocatedScan>,
+    summary: LocatedLog,
+    findings: Findings,
+}
+
 impl LocateArgs {
     pub(crate) fn execute(&self) -> Result<Findings> {
         let config = self.pipeline.as_deref().map(|path| Config::load(path, &[])).transpose()?;
@@ -102,7 +110,7 @@ impl LocateArgs {
         let files = self.files()?;
         let known = Places::read(&self.map, &self.map_logs)?;
         let (mut findings, mut rows, mut found) = (Findings::default(), Vec::new(), Vec::new());
-        let mut inputs = known.inputs.clone();
+        let (mut inputs, mut failed) = (known.inputs.clone(), Vec::new());
         for file in &files {
             let options = match &config {
                 Some(config) => {
@@ -111,21 +119,23 @@ impl LocateArgs {
                 }
                 None => known.options.clone(),
             };
-            for path in &file.paths {
-                inputs.insert(file_name(path), digest_file(path)?);
+            match self.locate(file, options, &known, &detector) {
+                Ok(located) => {
+                    findings.merge(located.findings);
+                    inputs.extend(located.inputs);
+                    found.push(located.summary);
+                    rows.extend(located.rows);
+                }
+                Err(error) => failed.push((file, error)),
             }
-            let query = self.read(file, options.clone())?;
-            check_scans(file, &query.scans, known.coverage_deg)?;
-            let of_log = locate(file, &query, &options, &known, &detector);
-            let summary = summary(file, &of_log, query.odometry.is_some());
-            findings.losses.merge(query.losses.in_log(&file.name));
-            findings.notes.extend(query.notes.into_iter().chain(notes(&summary)).map(|note| {
-                let log = Some(file.name.to_string());
-                Note { subject: Subject { log, ..note.subject }, ..note }
-            }));
-            found.push(summary);
-            rows.extend(of_log);
         }
+        if found.is_empty() {
+            return Err(all_failed(failed));
+        }
+        findings.notes.extend(failed.iter().map(|(file, error)| {
+            let kind = NoteKind::LogNotLocated { reason: format!("{error:#}") };
+            in_log(file, kind.into())
+        }));
         let provenance = Provenance {
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
             seed: 0,
@@ -140,6 +150,30 @@ impl LocateArgs {
         write_located(&self.out, &provenance, &rows)?;
         self.print(&found)?;
         Ok(findings)
+    }
+
+    /// Reads a log and locates its scans.
+    fn locate(
+        &self,
+        file: &LogFile,
+        options: Options,
+        known: &Places,
+        detector: &Detector,
+    ) -> Result<Located> {
+        let mut inputs = BTreeMap::new();
+        for path in &file.paths {
+            inputs.insert(file_name(path), digest_file(path)?);
+        }
+        let query = self.read(file, options.clone())?;
+        check_scans(file, &query.scans, known.coverage_deg)?;
+        let rows = locate(file, &query, &options, known, detector);
+        let summary = summary(file, &rows, query.odometry.is_some());
+        let notes = query.notes.into_iter().chain(notes(&summary));
+        let findings = Findings {
+            losses: query.losses.in_log(&file.name),
+            notes: notes.map(|note| in_log(file, note)).collect(),
+        };
+        Ok(Located { inputs, rows, summary, findings })
     }
 
     /// The logs, each with a name of its own.
@@ -217,6 +251,24 @@ impl LocateArgs {
         out!("{}", self.out.display());
         Ok(())
     }
+}
+
+/// A note about a log.
+fn in_log(file: &LogFile, note: Note) -> Note {
+    let log = Some(file.name.to_string());
+    Note { subject: Subject { log, ..note.subject }, ..note }
+}
+
+/// The error of a single log, or those of all.
+fn all_failed(mut failed: Vec<(&LogFile, anyhow::Error)>) -> anyhow::Error {
+    if let [_] = failed.as_slice()
+        && let Some((_, error)) = failed.pop()
+    {
+        return error;
+    }
+    let lines: Vec<String> =
+        failed.iter().map(|(file, error)| format!("{}: {error:#}", file.name)).collect();
+    anyhow!("no log could be read\n{}", lines.join("\n"))
 }
 
 /// Whether logs have all topics of the poses. Poses of files and of other runs are not those of these logs.
