@@ -119,7 +119,7 @@ impl LocateArgs {
                 }
                 None => known.options.clone(),
             };
-            match self.locate(file, options, &known, &detector) {
+            match self.locate(file, &options, &known, &detector) {
                 Ok(located) => {
                     findings.merge(located.findings);
                     inputs.extend(located.inputs);
@@ -156,7 +156,7 @@ impl LocateArgs {
     fn locate(
         &self,
         file: &LogFile,
-        options: Options,
+        options: &Options,
         known: &Places,
         detector: &Detector,
     ) -> Result<Located> {
@@ -166,7 +166,7 @@ impl LocateArgs {
         }
         let query = self.read(file, options.clone())?;
         check_scans(file, &query.scans, known.coverage_deg)?;
-        let rows = locate(file, &query, &options, known, detector);
+        let rows = locate(file, &query, options, known, detector);
         let summary = summary(file, &rows, query.odometry.is_some());
         let notes = query.notes.into_iter().chain(notes(&summary));
         let findings = Findings {
