@@ -9,9 +9,9 @@ use dataset::{JudgedClosure, Pose2};
 use messages::ros::{write_laser_scan, write_pose_stamped};
 use messages::{LaserScan, StampedPose3};
 
-use crate::made::{Message, Schema, log};
+use crate::faults_program::message;
+use crate::made::{Schema, log};
 use crate::support::Workplace;
-use crate::wire::Encoding;
 
 const START_NS: i64 = 1_700_000_000_000_000_000;
 const STEP_NS: i64 = 250_000_000;
@@ -93,10 +93,6 @@ fn range_m(from: &Pose2, direction_rad: f64, [a, b]: &Wall) -> Option<f64> {
     let along_ray = (fx * ey - fy * ex) / determinant;
     let along_wall = (fx * dy - fy * dx) / determinant;
     (0.0 < along_ray && (0.0..=1.0).contains(&along_wall)).then_some(along_ray)
-}
-
-fn message(topic: &'static str, type_name: &'static str, stamp_ns: i64, data: Vec<u8>) -> Message {
-    Message { topic, type_name, encoding: Encoding::Cdr, stamp_ns, data }
 }
 
 /// Scans after the robot was put down, before it moves.

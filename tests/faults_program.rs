@@ -59,7 +59,12 @@ fn pose3(stamp_ns: i64, [x, y, heading]: Planar) -> StampedPose3 {
     StampedPose3 { stamp_ns, position: [x, y, 0.0], orientation }
 }
 
-fn message(topic: &'static str, type_name: &'static str, stamp_ns: i64, data: Vec<u8>) -> Message {
+pub fn message(
+    topic: &'static str,
+    type_name: &'static str,
+    stamp_ns: i64,
+    data: Vec<u8>,
+) -> Message {
     Message { topic, type_name, encoding: Encoding::Cdr, stamp_ns, data }
 }
 

@@ -6,8 +6,8 @@ LOOPBOOST is the program, and LOGS the folder that detection.py needs for the mo
 around the campus of pipelines/north-campus.toml, in opposite directions. The first one makes a map, and each of
 the others is added to the runs before it (`detect.maps`). The model is one of recorded logs, and is used
 without its classifier. Processor time and peak memory are those of the whole command: from the log of the day to its
-closures, with the measurements against the ground truth. The processor time counts all threads, so that other
-programs on the machine change it little. `--only` selects seeds, and `--write` replaces the
+closures, with the measurements against the ground truth. The processor time counts all threads of
+the program, and no other program. `--only` selects seeds, and `--write` replaces the
 table between the `days` comments in a file. The script needs numpy, pyarrow and mcap.
 """
 

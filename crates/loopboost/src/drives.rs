@@ -133,20 +133,23 @@ pub(crate) fn posed_scans_of(
 ) -> Result<Vec<Vec<PosedScan>>> {
     let segment_of: HashMap<u32, u32> = rows.iter().map(|row| (row.id.scan, row.segment)).collect();
     let mut pieces = Vec::new();
-    for mut scans in posed_scans(run, log)? {
+    for scans in posed_scans(run, log)? {
         let registered = |scan: &PosedScan| segment_of.get(&scan.scan).copied();
         let Some(mut segment) = scans.iter().find_map(registered) else { continue };
         let mut next = vec![None; scans.len()];
         for k in (0..scans.len()).rev() {
             next[k] = registered(&scans[k]).or_else(|| *next.get(k + 1)?);
         }
-        for (scan, next) in scans.iter_mut().zip(&next) {
-            let is_between = registered(scan).is_none() && next.is_some_and(|next| next != segment);
-            segment = registered(scan).unwrap_or(segment);
-            scan.odometry.segment = if is_between { u32::MAX } else { segment };
+        let mut kept: Vec<PosedScan> = Vec::with_capacity(scans.len());
+        for (mut scan, next) in scans.into_iter().zip(next) {
+            let own = registered(&scan);
+            segment = own.unwrap_or(segment);
+            if own.is_some() || next.is_none_or(|next| next == segment) {
+                scan.odometry.segment = segment;
+                kept.push(scan);
+            }
         }
-        scans.retain(|scan| scan.odometry.segment != u32::MAX);
-        let pieces_of = scans.chunk_by(|a, b| a.odometry.segment == b.odometry.segment);
+        let pieces_of = kept.chunk_by(|a, b| a.odometry.segment == b.odometry.segment);
         pieces.extend(pieces_of.map(<[_]>::to_vec));
     }
     Ok(pieces)

@@ -169,9 +169,11 @@ pub fn search(
             let x_m = window.centre.x_m + a as f64 * window.step_m;
             for b in -n..=n {
                 let y_m = window.centre.y_m + b as f64 * window.step_m;
-                let [dx, dy] = [x_m, y_m].map(|v| v / map.square_m);
-                let sum: f64 =
-                    turned.iter().map(|p| f64::from(map.value([p[0] + dx, p[1] + dy]))).sum();
+                let [rows, columns] = [x_m, y_m].map(|v| v / map.square_m);
+                let sum: f64 = turned
+                    .iter()
+                    .map(|p| f64::from(map.value([p[0] + rows, p[1] + columns])))
+                    .sum();
                 let (dx, dy) = (x_m - preference.pose.x_m, y_m - preference.pose.y_m);
                 let score = sum / points.len() as f64
                     - preference.per_m2 * (dx * dx + dy * dy)

@@ -139,7 +139,9 @@ impl Segment {
         });
         let rows = rows.collect();
         let of_break = registered.iter().enumerate().filter(|(_, scan)| scan.is_break);
-        let n_since = |k: usize| registered[k].index - registered[k - 1].index - 1;
+        // Also those that cannot be used.
+        let number = |k: usize| numbers[registered[k].index] as usize;
+        let n_since = |k: usize| number(k).saturating_sub(number(k - 1) + 1);
         Ok(RegisteredSegment { rows, breaks: of_break.map(|(k, _)| (k, n_since(k))).collect() })
     }
 }
