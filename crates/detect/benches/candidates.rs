@@ -30,7 +30,7 @@ fn descriptor(bencher: Bencher<'_, '_>) {
     let scans = scans();
     let drive = drive(&scans[..100]);
     let places = Places::new(&drive, &drive.poses, 2.5, 5.0);
-    let submap = places.nodes[3].submap();
+    let submap = &places.submaps[3];
     let describer = Describer::new(submap.n_squares());
     bencher.bench_local(|| describer.describe(submap));
 }

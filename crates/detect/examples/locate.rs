@@ -76,7 +76,7 @@ fn known(log: &Log) -> Result<Known, Box<dyn Error>> {
         rows.iter().map(|row| trajectory.pose_at(row.stamp_ns, 1_000_000_000)).collect()
     };
     let (poses, truth) = (at(&optimized)?, at(&log.truth)?);
-    let drive = Drive::new(
+    let drive = Drive::of_scans(
         scans.iter().collect(),
         rows.iter().map(|row| row.odometry).collect(),
         rows.iter().map(|row| row.pose).collect(),

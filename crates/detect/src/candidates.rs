@@ -1,10 +1,13 @@
 //! Candidates: pairs of places with a relative pose and evidence.
 
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
 use dataset::Pose2;
 use model::{Detector, Evidence};
 use nalgebra::Matrix3;
 use rayon::prelude::*;
-use register::{AlignOptions, Drive, Fit, Node, closure_covariance, fit, fit_options};
+use register::{AlignOptions, Drive, Fit, Node, Submap, closure_covariance, fit, fit_options};
 
 use crate::correlation::{Peak, Query, Reference, Scores, UNIT};
 use crate::descriptor::Describer;
@@ -33,6 +36,8 @@ pub struct Candidate {
 /// Confidence of the classifier for two keyframes of a drive (indices in the drive).
 pub type Classify<'a> = &'a (dyn Fn(usize, usize) -> f64 + Sync);
 
+/// Places whose candidates are aligned at once. Their nodes are in memory.
+const QUERIES_AT_ONCE: usize = 32;
 /// Relative poses of a pair of places that are aligned.
 const N_POSES: usize = 3;
 /// This many places are compared with each place by correlation, or `n_candidates` if that is more.
@@ -64,8 +69,8 @@ const MAX_ITERATIONS: u32 = 20;
 /// The candidates are in the order of the places, and of the ranks within a place. A pair without walls in
 /// common gives no candidate.
 pub fn find_candidates(
-    drive: &Drive<'_>,
-    places: &Places,
+    drive: &Drive,
+    places: &Places<'_>,
     detector: &Detector,
     min_path_m: f64,
     classify: Option<Classify<'_>>,
@@ -80,8 +85,8 @@ pub fn find_candidates(
 /// the places of all drives before its own. `drive` and `places` are [`Drive::joined`] and
 /// [`Places::joined`].
 pub fn find_candidates_between(
-    drive: &Drive<'_>,
-    places: &Places,
+    drive: &Drive,
+    places: &Places<'_>,
     detector: &Detector,
     first_drive: usize,
     classify: Option<Classify<'_>>,
@@ -99,35 +104,33 @@ pub fn find_candidates_between(
 
 /// For each place, candidates among the first `n_references` places.
 fn candidates_among(
-    places: &Places,
+    places: &Places<'_>,
     n_references: &[usize],
     detector: &Detector,
     classify: Option<Classify<'_>>,
 ) -> Vec<Candidate> {
-    let Some(first) = places.nodes.first() else { return Vec::new() };
-    let describer = Describer::new(first.submap().n_squares());
+    let Some(first) = places.submaps.first() else { return Vec::new() };
+    let describer = Describer::new(first.n_squares());
     let rows: Vec<Vec<f32>> =
-        places.nodes.par_iter().map(|node| describer.describe(node.submap())).collect();
-    let similar = similar_places(places, &rows, n_references, detector, classify);
+        places.submaps.par_iter().map(|submap| describer.describe(submap)).collect();
+    let similar = similar_places(places, rows, n_references, detector, classify);
     let finder = Finder { places, detector, classify, options: options() };
-    (0..places.nodes.len())
-        .into_par_iter()
-        .map(|query| finder.candidates(query, &similar[query]))
-        .flatten_iter()
-        .collect()
+    let queries: Vec<usize> = (0..places.submaps.len()).collect();
+    let blocks = queries.chunks(QUERIES_AT_ONCE);
+    blocks.flat_map(|queries| finder.candidates(queries, &similar)).collect()
 }
 
 /// For each place, the earlier places that it is compared with, the most similar one first.
 fn similar_places(
-    places: &Places,
-    rows: &[Vec<f32>],
+    places: &Places<'_>,
+    rows: Vec<Vec<f32>>,
     n_references: &[usize],
     detector: &Detector,
     classify: Option<Classify<'_>>,
 ) -> Vec<Vec<usize>> {
     let n = N_CORRELATED.max(detector.n_candidates as usize);
     let n_ranked = if classify.is_some() { RANKED_PER_CORRELATED * n } else { n };
-    let similar = Descriptors::new(rows).most_similar(n_ranked, n_references);
+    let similar = Descriptors::new(&rows).most_similar(n_ranked, n_references);
     let order = |(query, similar): (usize, Vec<_>)| {
         let by_descriptor: Vec<usize> = similar.into_iter().map(|s: Similar| s.reference).collect();
         let mut ranked = match classify {
@@ -160,7 +163,7 @@ fn rank_sums(confidences: &[f64]) -> Vec<usize> {
 }
 
 struct Finder<'a> {
-    places: &'a Places,
+    places: &'a Places<'a>,
     detector: &'a Detector,
     classify: Option<Classify<'a>>,
     options: AlignOptions,
@@ -182,13 +185,18 @@ pub(crate) fn options() -> AlignOptions {
     fit_options(FIRST_GATE_M, MAX_ITERATIONS)
 }
 
-/// Compares places with a query by correlation. The best one comes first; of equal ones, the first one.
-pub(crate) fn correlate(nodes: &[Node], query: &Node, references: &[usize]) -> Vec<Correlated> {
+/// Compares places with a query by correlation. The best one comes first; of equal ones, the first one. `submap_of`
+/// gives the submap of a place.
+pub(crate) fn correlate<'a>(
+    submap_of: impl Fn(usize) -> &'a Submap,
+    query: &Submap,
+    references: &[usize],
+) -> Vec<Correlated> {
     if references.is_empty() {
         return Vec::new();
     }
-    let turned = Query::new(query.submap());
-    let one = |&reference: &usize| Correlated::new(&nodes[reference], reference, &turned);
+    let turned = Query::new(query);
+    let one = |&reference: &usize| Correlated::new(submap_of(reference), reference, &turned);
     let mut correlated: Vec<Correlated> = references.iter().filter_map(one).collect();
     correlated.sort_by(|a, b| (b.score + b.margin).total_cmp(&(a.score + a.margin)));
     correlated
@@ -196,8 +204,8 @@ pub(crate) fn correlate(nodes: &[Node], query: &Node, references: &[usize]) -> V
 
 impl Correlated {
     /// `None` if no pose puts more walls onto walls than into free space.
-    fn new(node: &Node, reference: usize, turned: &Query) -> Option<Self> {
-        let map = Reference::new(node.submap());
+    fn new(submap: &Submap, reference: usize, turned: &Query) -> Option<Self> {
+        let map = Reference::new(submap);
         let peaks = Scores::new(&map, turned).peaks(N_POSES);
         let best = peaks.first().filter(|best| 0 < best.score)?.score;
         let second = peaks.get(1).map_or(0, |peak| peak.score);
@@ -208,11 +216,16 @@ impl Correlated {
     }
 
     /// The alignment of the best poses that fits best.
-    pub(crate) fn fit(&self, nodes: &[Node], query: &Node, options: &AlignOptions) -> Option<Fit> {
+    pub(crate) fn fit(
+        &self,
+        reference: &Node,
+        query: &Node,
+        options: &AlignOptions,
+    ) -> Option<Fit> {
         let best = self.peaks.first()?;
         let is_aligned = |peak: &&Peak| best.score <= 2 * peak.score;
         let starts = self.peaks.iter().filter(is_aligned);
-        let fits = starts.map(|peak| fit(&nodes[self.reference], query, &peak.pose, options));
+        let fits = starts.map(|peak| fit(reference, query, &peak.pose, options));
         // Of equal fits, the one with the higher score.
         fits.reduce(|best, next| if value(&best) < value(&next) { next } else { best })
     }
@@ -232,18 +245,34 @@ pub(crate) fn evidence_of(fit: &Fit, margin: f64, classifier: Option<f64>) -> Ev
 }
 
 impl Finder<'_> {
-    /// The candidates of a place.
-    fn candidates(&self, query: usize, references: &[usize]) -> Vec<Candidate> {
-        let nodes = &self.places.nodes;
-        let mut correlated = correlate(nodes, &nodes[query], references);
-        correlated.truncate(self.detector.n_candidates as usize);
-        let candidate = |(rank, correlated)| self.candidate(query, correlated, rank);
-        (0u32..).zip(&correlated).filter_map(candidate).collect()
+    /// The candidates of some places. `similar` are the places that each place is compared with.
+    fn candidates(&self, queries: &[usize], similar: &[Vec<usize>]) -> Vec<Candidate> {
+        let submaps = &self.places.submaps;
+        let correlated = |&query: &usize| {
+            let mut correlated =
+                correlate(|place| &submaps[place], &submaps[query], &similar[query]);
+            correlated.truncate(self.detector.n_candidates as usize);
+            (0u32..).zip(correlated).map(move |(rank, pair)| (query, rank, pair))
+        };
+        let pairs: Vec<(usize, u32, Correlated)> =
+            queries.par_iter().flat_map_iter(correlated).collect();
+        let places: BTreeSet<usize> =
+            pairs.iter().flat_map(|(query, _, pair)| [*query, pair.reference]).collect();
+        let nodes = self.places.nodes(&places);
+        let candidate = |(query, rank, pair): &(usize, u32, Correlated)| {
+            self.candidate(&nodes, *query, pair, *rank)
+        };
+        pairs.par_iter().filter_map(candidate).collect()
     }
 
-    fn candidate(&self, query: usize, correlated: &Correlated, rank: u32) -> Option<Candidate> {
-        let nodes = &self.places.nodes;
-        let fit = correlated.fit(nodes, &nodes[query], &self.options)?;
+    fn candidate(
+        &self,
+        nodes: &BTreeMap<usize, Arc<Node>>,
+        query: usize,
+        correlated: &Correlated,
+        rank: u32,
+    ) -> Option<Candidate> {
+        let fit = correlated.fit(&nodes[&correlated.reference], &nodes[&query], &self.options)?;
         let (query, reference) =
             (self.places.scans[query], self.places.scans[correlated.reference]);
         let classifier = self.classify.map(|classify| classify(query, reference));

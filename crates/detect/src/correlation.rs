@@ -293,9 +293,7 @@ fn sum_free(reference: &Reference, turned: &Turned, shift: usize, n: usize) -> [
 
 /// Row and column of the squares of a kind.
 fn squares(submap: &Submap, kind: Square) -> Vec<[u32; 2]> {
-    let n = submap.n_squares() as u32;
-    let of_kind = (0u32..).zip(submap.squares()).filter(|(_, square)| **square == kind);
-    of_kind.map(|(k, _)| [k / n, k % n]).collect()
+    submap.of_kind(kind).map(|square| square.map(|k| k as u32)).collect()
 }
 
 /// The blur of a single wall, times [`UNIT`] and rounded.
@@ -348,7 +346,8 @@ mod tests {
     fn at(submap: &Submap, a: i64, b: i64) -> Square {
         let n = submap.n_squares() as i64;
         let is_inside = (0..n).contains(&a) && (0..n).contains(&b);
-        if is_inside { submap.squares()[(a * n + b) as usize] } else { Square::Unknown }
+        let square = || submap.squares().nth((a * n + b) as usize);
+        is_inside.then(square).flatten().unwrap_or(Square::Unknown)
     }
 
     /// The squares of a kind, turned, as a set.

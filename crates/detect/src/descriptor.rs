@@ -111,19 +111,16 @@ impl Describer {
     /// 0 to 34 along y, `(69, 35)`.
     fn log_amplitudes(&self, submap: &Submap) -> Vec<f64> {
         let mut sums = vec![[[0.0; N_FREQUENCIES]; 4]; N_FREQUENCIES];
-        for (row, squares) in submap.squares().chunks_exact(self.n).enumerate() {
+        let walls: Vec<[usize; 2]> = submap.of_kind(Square::Occupied).collect();
+        for of_row in walls.chunk_by(|a, b| a[0] == b[0]) {
+            let row = of_row[0][0];
             let [mut re, mut im] = [[0.0; N_FREQUENCIES]; 2];
-            let mut is_empty = true;
-            for (column, _) in squares.iter().enumerate().filter(|(_, s)| **s == Square::Occupied) {
-                is_empty = false;
+            for &[_, column] in of_row {
                 for (frequency, (re, im)) in re.iter_mut().zip(&mut im).enumerate() {
                     let [cos, sin] = self.circle[column * frequency % self.n];
                     *re += cos;
                     *im -= sin;
                 }
-            }
-            if is_empty {
-                continue;
             }
             for (frequency, sums) in sums.iter_mut().enumerate() {
                 let [cos, sin] = self.circle[row * frequency % self.n];

@@ -40,5 +40,5 @@ pub use candidates::{Candidate, Classify, find_candidates, find_candidates_betwe
 pub use descriptor::{DESCRIPTOR_LEN, Describer};
 pub use locator::{Locator, Position};
 pub use locator_map::{LocatorMap, MapDrive};
-pub use places::Places;
+pub use places::{Places, PlacesOfDrive};
 pub use retrieval::{Descriptors, Similar};

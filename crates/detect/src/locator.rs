@@ -239,10 +239,10 @@ impl<'a> Locator<'a> {
         let row = describer.describe(place.node.submap());
         let similar = self.map.descriptors.most_similar_to(&row, N_SEARCHED);
         let references: Vec<usize> = similar.iter().map(|similar| similar.reference).collect();
-        let correlated = correlate(nodes, &place.node, &references);
+        let correlated = correlate(|k| nodes[k].submap(), place.node.submap(), &references);
         let node_from_local = place.local_from_node.inverse();
         let vote = |correlated: &Correlated| {
-            let fit = correlated.fit(nodes, &place.node, &self.options)?;
+            let fit = correlated.fit(&nodes[correlated.reference], &place.node, &self.options)?;
             let evidence = evidence_of(&fit, correlated.margin, None);
             let map_from_node = self.map.poses[correlated.reference] * fit.a_from_b;
             Some(Vote {

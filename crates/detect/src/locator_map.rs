@@ -2,7 +2,7 @@
 
 use dataset::Pose2;
 use rayon::prelude::*;
-use register::{Drive, Node, SubmapOptions, members_around, places};
+use register::{Drive, Node, SubmapOptions, places};
 
 use crate::descriptor::Describer;
 use crate::retrieval::Descriptors;
@@ -10,7 +10,7 @@ use crate::retrieval::Descriptors;
 /// A drive of a map.
 pub struct MapDrive<'a> {
     /// The registered scans.
-    pub drive: &'a Drive<'a>,
+    pub drive: &'a Drive,
     /// The pose of each scan in the map.
     pub poses: &'a [Pose2],
     /// Number of the map. Drives with different numbers have unrelated frames.
@@ -39,10 +39,8 @@ impl LocatorMap {
         let (mut nodes, mut poses, mut maps) = (Vec::new(), Vec::new(), Vec::new());
         for MapDrive { drive, poses: of_drive, map } in drives {
             let scans = places(drive, step_m);
-            let node = |&scan: &usize| {
-                let members = members_around(drive, of_drive, scan, half_m);
-                Node::of_still(&members, &SubmapOptions::default())
-            };
+            let options = SubmapOptions::default();
+            let node = |&scan: &usize| Node::still_around(drive, of_drive, scan, half_m, &options);
             poses.extend(scans.iter().map(|&scan| of_drive[scan]));
             maps.extend(scans.iter().map(|_| *map));
             nodes.par_extend(scans.par_iter().map(node));

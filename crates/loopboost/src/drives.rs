@@ -11,10 +11,11 @@ use dataset::{RangeLimits, RegisteredScan, Scan, ScanClosure, ScanId, StampedPos
 use model::Evidence;
 use nalgebra::Matrix3;
 use optimize::Proposal;
-use register::{Drive, is_decided};
+use register::{Drive, ScanSource, is_decided};
 
 use crate::config::Config;
 use crate::run::Run;
+use crate::scan_cache::{DriveScans, ScanCache};
 use crate::stage::Artifact;
 
 /// The points of a closure do not determine the position if the ratio of the smallest to the largest
@@ -26,27 +27,29 @@ pub(crate) struct RegisteredDrive {
     /// One row per registered scan, in the order of time.
     pub(crate) rows: Vec<RegisteredScan>,
     /// The scans of the rows.
-    scans: Vec<Scan>,
-    /// The range limits of registration.
-    limits: RangeLimits,
+    scans: Arc<DriveScans>,
 }
 
 impl RegisteredDrive {
     /// The drive as the crates know it.
-    pub(crate) fn drive(&self) -> Drive<'_> {
+    pub(crate) fn drive(&self) -> Drive {
         Drive::new(
-            self.scans.iter().collect(),
+            self.scans.clone(),
             self.rows.iter().map(|row| row.odometry).collect(),
             self.rows.iter().map(|row| row.pose).collect(),
             self.rows.iter().map(|row| row.is_keyframe).collect(),
             self.rows.iter().map(|row| is_decided(row.near_share, row.weakness)).collect(),
-            self.limits,
         )
     }
 
     /// The log.
     pub(crate) fn log(&self) -> Option<&Arc<str>> {
         self.rows.first().map(|row| &row.id.log)
+    }
+
+    /// Angle that the scans cover \[deg\].
+    pub(crate) fn coverage_deg(&self) -> Option<f32> {
+        (0 < self.scans.n).then(|| self.scans.scan(0).scan().coverage_deg)
     }
 
     /// Number of the continuous piece of the log.
@@ -59,24 +62,25 @@ impl RegisteredDrive {
 pub(crate) fn registered_drives(run: &Run, log: &str) -> Result<Vec<RegisteredDrive>> {
     let (rows, _) = read_registered(&run.path_of_log(Artifact::Registered, log))?;
     let limits = registration_limits(&run.config, log)?;
-    let numbers: Vec<u32> = rows.iter().map(|row| row.id.scan).collect();
-    let scans = scans_of(&run.scans(log), &numbers)?;
-    Ok(drives_of(&rows, scans, limits))
+    drives_of(&run.scan_cache, &run.scans(log), &rows, limits)
 }
 
-/// The drives of the rows of a log, one per segment, with the scans of the rows.
+/// The drives of the rows of a log, one per segment. The scans of the rows are in the table at `path`.
 pub(crate) fn drives_of(
+    cache: &Arc<ScanCache>,
+    path: &Path,
     rows: &[RegisteredScan],
-    scans: Vec<Scan>,
     limits: RangeLimits,
-) -> Vec<RegisteredDrive> {
-    let mut scans = scans.into_iter();
-    let of_rows = |rows: &[RegisteredScan]| RegisteredDrive {
-        rows: rows.to_vec(),
-        scans: scans.by_ref().take(rows.len()).collect(),
-        limits,
+) -> Result<Vec<RegisteredDrive>> {
+    let numbers: Vec<u32> = rows.iter().map(|row| row.id.scan).collect();
+    let of_log = Arc::new(cache.open(path, &numbers, limits)?);
+    let mut first = 0;
+    let of_rows = |rows: &[RegisteredScan]| {
+        let scans = Arc::new(DriveScans { of_log: of_log.clone(), first, n: rows.len() });
+        first += rows.len();
+        RegisteredDrive { rows: rows.to_vec(), scans }
     };
-    rows.chunk_by(|a, b| a.segment == b.segment).map(of_rows).collect()
+    Ok(rows.chunk_by(|a, b| a.segment == b.segment).map(of_rows).collect())
 }
 
 /// The scans with these numbers, which need not be sorted.
@@ -102,6 +106,8 @@ pub(crate) struct PosedScan {
     pub(crate) scan: u32,
     /// Time of the scan and pose of the lidar, with covariance and segment.
     pub(crate) odometry: StampedPose,
+    /// Angle that the scan covers \[deg\].
+    pub(crate) coverage_deg: f32,
     /// Whether features can be computed from the scan.
     pub(crate) is_usable: bool,
 }
@@ -116,7 +122,8 @@ pub(crate) fn posed_scans(run: &Run, log: &str) -> Result<Vec<Vec<PosedScan>>> {
         .zip(&headers)
         .filter_map(|(scan, header)| {
             let odometry = trajectory.stamped_pose_at(header.stamp_ns, max_gap_ns).ok()?;
-            Some(PosedScan { scan, odometry, is_usable: header.usable })
+            let (coverage_deg, is_usable) = (header.coverage_deg, header.usable);
+            Some(PosedScan { scan, odometry, coverage_deg, is_usable })
         })
         .collect();
     scans.sort_by_key(|scan| (scan.odometry.stamp_ns, scan.scan));

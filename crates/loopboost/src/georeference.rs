@@ -59,11 +59,11 @@ pub(crate) struct Georeferenced {
 
 impl Georeference<'_> {
     /// The drives that their references place, by their odometry alone.
-    pub(crate) fn locate(&self, drives: &[Drive<'_>]) -> Vec<Option<Located>> {
+    pub(crate) fn locate(&self, drives: &[Drive]) -> Vec<Option<Located>> {
         drives.iter().enumerate().map(|(k, drive)| self.locate_drive(k, drive)).collect()
     }
 
-    fn locate_drive(&self, k: usize, drive: &Drive<'_>) -> Option<Located> {
+    fn locate_drive(&self, k: usize, drive: &Drive) -> Option<Located> {
         if let Some(poses) = self.site.known_poses.get(k) {
             let (poses, covariances) = (poses.clone(), vec![Matrix3::zeros(); poses.len()]);
             return self.is_in_frame(k).then_some(Located { poses, covariances, common_m2: 0.0 });
@@ -94,7 +94,7 @@ impl Georeference<'_> {
     }
 
     /// Puts the maps into the frame of their references. Those that the references place become one map.
-    pub(crate) fn place(&self, drive: &Drive<'_>, solved: &mut Site) -> Georeferenced {
+    pub(crate) fn place(&self, drive: &Drive, solved: &mut Site) -> Georeferenced {
         let mut made = Georeferenced { origin: self.references.origin, ..Georeferenced::default() };
         let rows = self.site.drives.iter().flat_map(|drive| &drive.rows);
         let stamps_ns: Vec<i64> = rows.map(|row| row.stamp_ns).collect();
@@ -163,7 +163,7 @@ impl Georeference<'_> {
     }
 
     /// The references of the drives of a map, with indices in the joined drives.
-    fn of_map(&self, drive: &Drive<'_>, map: &[usize]) -> Vec<DriveReference> {
+    fn of_map(&self, drive: &Drive, map: &[usize]) -> Vec<DriveReference> {
         let of_drive = |&k: &usize| {
             let first = drive.starts[k];
             self.references.of_drives[k].iter().map(move |of_drive| {
@@ -175,12 +175,12 @@ impl Georeference<'_> {
         map.iter().flat_map(of_drive).collect()
     }
 
-    fn log_of(&self, drive: &Drive<'_>, scan: usize) -> &str {
+    fn log_of(&self, drive: &Drive, scan: usize) -> &str {
         self.site.drives[drive.part_of(scan)].log().map_or("", |log| &**log)
     }
 
     /// The source and the log of references, if there is one.
-    fn subject(&self, drive: &Drive<'_>, of_map: &[DriveReference]) -> Subject {
+    fn subject(&self, drive: &Drive, of_map: &[DriveReference]) -> Subject {
         let of = |r: &DriveReference| (r.source, self.log_of(drive, r.reference.scan));
         let mut sources: Vec<(usize, &str)> = of_map.iter().map(of).collect();
         sources.sort_unstable();
@@ -194,7 +194,7 @@ impl Georeference<'_> {
     /// Says how well the references of each log and source agree with their map.
     fn describe(
         &self,
-        drive: &Drive<'_>,
+        drive: &Drive,
         of_map: &[DriveReference],
         placed: &Placed,
         made: &mut Georeferenced,

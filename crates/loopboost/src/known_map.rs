@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, Result, anyhow};
 use dataset::tables::{Provenance, read_closures, read_poses, read_registered, read_trajectory};
@@ -11,9 +12,10 @@ use register::RegisterOptions;
 use serde_json::Value;
 
 use crate::config::usage;
-use crate::drives::{RegisteredDrive, drives_of, scans_of};
+use crate::drives::{RegisteredDrive, drives_of};
 use crate::map_run::MapRun;
 use crate::run::Run;
+use crate::scan_cache::ScanCache;
 use crate::stage::Artifact;
 
 /// The drives of finished runs.
@@ -46,7 +48,7 @@ impl KnownMap {
         let mut names = BTreeSet::new();
         for map in &runs {
             for log in map.logs() {
-                known.add_log(map, &log)?;
+                known.add_log(map, &log, &run.scan_cache)?;
                 if !names.insert(log.clone()) {
                     return Err(usage(format!(
                         "`detect.maps`: two runs have a log `{log}`; remove one"
@@ -77,14 +79,17 @@ impl KnownMap {
     }
 
     /// Adds the drives of a log of a run, without closures.
-    pub(crate) fn add_log(&mut self, map: &MapRun<'_>, log: &str) -> Result<()> {
+    pub(crate) fn add_log(
+        &mut self,
+        map: &MapRun<'_>,
+        log: &str,
+        cache: &Arc<ScanCache>,
+    ) -> Result<()> {
         let path = map.path(Artifact::Registered, log);
         let (rows, provenance) = read_registered(&path)?;
         let limits = limits(&path, &provenance, log)?;
         let (optimized, _) = read_poses(&map.path(Artifact::ScanTrajectory, log))?;
-        let numbers: Vec<u32> = rows.iter().map(|row| row.id.scan).collect();
-        let scans = scans_of(&map.scans(log), &numbers)?;
-        for drive in drives_of(&rows, scans, limits) {
+        for drive in drives_of(cache, &map.scans(log), &rows, limits)? {
             // A segment without keyframes is in no map.
             let Some(number) = map.number(log, drive.segment()) else { continue };
             let pose = |stamp_ns: i64| {

@@ -45,6 +45,7 @@ mod reference_file;
 mod reference_options;
 mod references;
 mod run;
+mod scan_cache;
 mod score;
 mod scorer;
 mod site_drives;

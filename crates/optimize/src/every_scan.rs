@@ -1,8 +1,8 @@
 //! A pose for every scan, also those between the scans of the drive.
 
-use dataset::{Pose2, RangeLimits};
+use dataset::Pose2;
 use rayon::prelude::*;
-use register::{AlignOptions, Drive, OdometryScan, Points, Prior, Target, align, points_of};
+use register::{AlignOptions, Drive, Points, Prior, ScanSource, Target, align};
 
 use crate::guided::NearPoses;
 
@@ -22,24 +22,25 @@ const PRIOR_STD_DEG: f64 = 6.0;
 /// Path that a turn by one radian counts as, between two scans \[m\].
 const PATH_PER_RAD: f64 = 0.3;
 
-/// Aligns every scan with the map of the optimized drive. `registered` are the ascending indices of the
-/// scans of the drive in `scans`; `poses` are their optimized poses. Returns a pose of the lidar for
-/// each of `scans`.
+/// Aligns every scan with the map of the optimized drive. `odometry` is the pose of the lidar at each of `scans`
+/// by odometry. `registered` are the ascending indices of the scans of the drive in `scans`; `poses` are
+/// their optimized poses. Returns a pose of the lidar for each of `scans`.
 ///
 /// The start and the prior of a scan between two scans of the drive are their poses, carried by the
 /// odometry, where the difference at the end is spread over the path.
 ///
 /// # Panics
-/// If `poses` and `registered` do not have one entry per scan of the drive.
+/// If `poses` and `registered` do not have one entry per scan of the drive, or `odometry` one per scan.
 pub fn align_every_scan(
-    drive: &Drive<'_>,
+    drive: &Drive,
     poses: &[Pose2],
     registered: &[usize],
-    scans: &[OdometryScan<'_>],
-    limits: RangeLimits,
+    scans: &dyn ScanSource,
+    odometry: &[Pose2],
 ) -> Vec<Pose2> {
-    assert!(poses.len() == drive.scans.len() && registered.len() == poses.len());
-    let mut every = carried(poses, registered, scans);
+    assert!(poses.len() == drive.n_scans() && registered.len() == poses.len());
+    assert_eq!(scans.len(), odometry.len(), "one pose per scan");
+    let mut every = carried(poses, registered, odometry);
     let near_poses = NearPoses::new(poses, NEAR_M);
     let pieces: Vec<Vec<(usize, Pose2)>> = (0..registered.len())
         .into_par_iter()
@@ -53,7 +54,7 @@ pub fn align_every_scan(
             let node_from_map = poses[k].inverse();
             between
                 .filter_map(|scan| {
-                    let points = points_of(scans[scan].scan, limits).thin(SOURCE_VOXEL_M);
+                    let points = scans.scan(scan).points().thin(SOURCE_VOXEL_M);
                     let start = node_from_map * every[scan];
                     let pose = aligned(&points, &target, &start)?;
                     Some((scan, poses[k] * pose))
@@ -68,7 +69,7 @@ pub fn align_every_scan(
 }
 
 /// The points around scan `k` of the drive, in its frame.
-fn local_map(drive: &Drive<'_>, poses: &[Pose2], near_poses: &NearPoses, k: usize) -> Target {
+fn local_map(drive: &Drive, poses: &[Pose2], near_poses: &NearPoses, k: usize) -> Target {
     let mut near: Vec<(f64, usize)> = near_poses
         .around(&poses[k])
         .filter(|&other| poses[other].distance_m(&poses[k]) <= NEAR_M)
@@ -85,7 +86,7 @@ fn local_map(drive: &Drive<'_>, poses: &[Pose2], near_poses: &NearPoses, k: usiz
     members.dedup();
     let mut points = Points::default();
     for other in members {
-        points.extend_from(&(poses[k].inverse() * poses[other]), &drive.points[other]);
+        points.extend_from(&(poses[k].inverse() * poses[other]), drive.scan(other).points());
     }
     Target::new(points, OPTIONS_REACH_M)
 }
@@ -107,20 +108,18 @@ fn aligned(points: &Points, target: &Target, start: &Pose2) -> Option<Pose2> {
 }
 
 /// The poses of the scans of the drive, carried to all scans by the odometry.
-fn carried(poses: &[Pose2], registered: &[usize], scans: &[OdometryScan<'_>]) -> Vec<Pose2> {
-    let mut path = vec![0.0; scans.len()];
-    for k in 1..scans.len() {
-        let (a, b) = (&scans[k - 1].odometry, &scans[k].odometry);
+fn carried(poses: &[Pose2], registered: &[usize], odometry: &[Pose2]) -> Vec<Pose2> {
+    let mut path = vec![0.0; odometry.len()];
+    for k in 1..odometry.len() {
+        let (a, b) = (&odometry[k - 1], &odometry[k]);
         let turn = PATH_PER_RAD * a.heading_difference_rad(b);
         path[k] = path[k - 1] + a.distance_m(b) + turn + f64::EPSILON;
     }
-    (0..scans.len())
+    (0..odometry.len())
         .map(|scan| {
             let k = registered.partition_point(|&r| r <= scan).saturating_sub(1);
             let next = (k + 1).min(registered.len() - 1);
-            let from = |k: usize| {
-                poses[k] * (scans[registered[k]].odometry.inverse() * scans[scan].odometry)
-            };
+            let from = |k: usize| poses[k] * (odometry[registered[k]].inverse() * odometry[scan]);
             let (start, end) = (path[registered[k]], path[registered[next]]);
             let weight = match scan <= registered[k] || end <= start {
                 true => 0.0,

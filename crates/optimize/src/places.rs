@@ -2,12 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use dataset::Pose2;
 use model::Drift;
-use rayon::prelude::*;
-use register::{BlurredMap, Drive, Node, Points, SubmapOptions};
+use register::{BlurredMap, Drive, Kept, Node, Points, SubmapOptions};
 
 use crate::graph::Edge;
 
@@ -33,7 +32,7 @@ const MAX_KEPT: usize = 256;
 
 /// Places along drives. Each joins the scans around it, rigidly.
 pub(crate) struct Places<'a> {
-    drive: &'a Drive<'a>,
+    drive: &'a Drive,
     /// The poses of all scans.
     poses: Vec<Pose2>,
     /// The scan of each place, ascending.
@@ -41,13 +40,13 @@ pub(crate) struct Places<'a> {
     /// Path length at each place \[m\].
     pub(crate) path_m: Vec<f64>,
     /// Places are made when they are compared, because those of a long drive do not fit into the memory.
-    kept: Mutex<BTreeMap<usize, Arc<Place>>>,
+    kept: Kept<Place>,
 }
 
 impl<'a> Places<'a> {
-    pub(crate) fn new(drive: &'a Drive<'a>, poses: &[Pose2], scans: Vec<usize>) -> Self {
+    pub(crate) fn new(drive: &'a Drive, poses: &[Pose2], scans: Vec<usize>) -> Self {
         let path_m = scans.iter().map(|&scan| drive.path_m[scan]).collect();
-        Self { drive, poses: poses.to_vec(), scans, path_m, kept: Mutex::default() }
+        Self { drive, poses: poses.to_vec(), scans, path_m, kept: Kept::new(MAX_KEPT) }
     }
 
     /// Number of places.
@@ -62,16 +61,7 @@ impl<'a> Places<'a> {
 
     /// Some of the places.
     pub(crate) fn get(&self, wanted: &BTreeSet<usize>) -> BTreeMap<usize, Arc<Place>> {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        let missing: Vec<usize> =
-            wanted.iter().filter(|place| !kept.contains_key(place)).copied().collect();
-        if MAX_KEPT < kept.len() + missing.len() {
-            kept.retain(|place, _| wanted.contains(place));
-        }
-        let made: Vec<Arc<Place>> =
-            missing.par_iter().map(|&place| Arc::new(self.make(place))).collect();
-        kept.extend(missing.into_iter().zip(made));
-        wanted.iter().filter_map(|place| Some((*place, kept.get(place)?.clone()))).collect()
+        self.kept.get(wanted, |place| self.make(place))
     }
 
     fn make(&self, place: usize) -> Place {
@@ -88,12 +78,7 @@ const MIN_STEP_M: f64 = 0.2;
 
 /// The edges between consecutive places of a drive: relative poses by scan matching, with errors that grow
 /// with the square root of the path. `poses` are those of all scans.
-pub(crate) fn chain(
-    drive: &Drive<'_>,
-    poses: &[Pose2],
-    scans: &[usize],
-    drift: &Drift,
-) -> Vec<Edge> {
+pub(crate) fn chain(drive: &Drive, poses: &[Pose2], scans: &[usize], drift: &Drift) -> Vec<Edge> {
     let edge = |(k, pair): (usize, &[usize])| {
         let [from, to] = [pair[0], pair[1]];
         if drive.part_of(from) != drive.part_of(to) {
@@ -114,7 +99,7 @@ pub(crate) fn chain(
 /// `before` are the poses of all scans, `places` the ascending indices of the places, and `after` their
 /// new poses.
 pub(crate) fn carry(
-    drive: &Drive<'_>,
+    drive: &Drive,
     before: &[Pose2],
     places: &[usize],
     after: &[Pose2],

@@ -42,7 +42,7 @@ pub enum Cause {
 
 /// References and the map that they are compared with.
 pub(crate) struct Fitted<'a> {
-    pub(crate) drive: &'a Drive<'a>,
+    pub(crate) drive: &'a Drive,
     pub(crate) references: &'a [Reference],
     /// Poses of all scans.
     pub(crate) poses: &'a [Pose2],

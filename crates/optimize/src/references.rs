@@ -28,7 +28,7 @@ use crate::trusted::{nearest_scan, trusted};
 #[derive(Clone, Copy)]
 pub struct ReferencedMap<'a> {
     /// All drives of a site.
-    pub drive: &'a Drive<'a>,
+    pub drive: &'a Drive,
     /// The drives of the map.
     pub parts: &'a [usize],
     /// The drives before this one are in the frame of the references, and stay.

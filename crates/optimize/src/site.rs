@@ -123,7 +123,7 @@ pub struct Known {
 /// # Panics
 /// If there is not one solution per drive.
 pub fn join_drives(
-    drive: &Drive<'_>,
+    drive: &Drive,
     solutions: &[Solution],
     known: &Known,
     proposals: &[Proposal],
@@ -136,7 +136,7 @@ pub fn join_drives(
 }
 
 struct SiteMaps<'a> {
-    drive: &'a Drive<'a>,
+    drive: &'a Drive,
     solutions: &'a [Solution],
     known: &'a Known,
     proposals: &'a [Proposal],
@@ -188,7 +188,7 @@ struct Pair<'a> {
 
 impl<'a> SiteMaps<'a> {
     fn new(
-        drive: &'a Drive<'a>,
+        drive: &'a Drive,
         solutions: &'a [Solution],
         known: &'a Known,
         proposals: &'a [Proposal],

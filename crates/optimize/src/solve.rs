@@ -44,7 +44,7 @@ const KEYFRAME_LIMIT: Limit = Limit { most: 3, every_m: 1.5 };
 ///    are dropped, and all is repeated from the first step: right closures elsewhere in the
 ///    drive do not make up for it. The stretches of the group are then not joined in another way.
 pub fn close_loops(
-    drive: &Drive<'_>,
+    drive: &Drive,
     proposals: &[Proposal],
     detector: &Detector,
     min_path_m: f64,
@@ -120,7 +120,7 @@ pub fn close_loops(
 }
 
 /// The places along a drive, and those of proposals.
-fn places_of<'a>(drive: &'a Drive<'a>, proposals: &[Proposal]) -> Places<'a> {
+fn places_of<'a>(drive: &'a Drive, proposals: &[Proposal]) -> Places<'a> {
     let mut scans = places_along(drive, PLACE_STEP_M);
     scans.extend(proposals.iter().flat_map(|proposal| [proposal.query, proposal.reference]));
     scans.sort_unstable();
@@ -130,7 +130,7 @@ fn places_of<'a>(drive: &'a Drive<'a>, proposals: &[Proposal]) -> Places<'a> {
 
 /// Aligns all scans of a drive, and compares its keyframes.
 fn align_and_compare(
-    drive: &Drive<'_>,
+    drive: &Drive,
     poses: &[Pose2],
     certainty: &Certainty,
     detector: &Detector,
@@ -216,12 +216,12 @@ impl ComparedKeyframes {
 /// Compares each keyframe with the keyframes near it, of those that `retain` keeps.
 /// The submaps have the optimized poses, which are less bent than those of scan matching.
 pub(crate) fn compare_keyframes(
-    drive: &Drive<'_>,
+    drive: &Drive,
     poses: &[Pose2],
     retain: &Retain<'_>,
     limit: Limit,
 ) -> Vec<ComparedKeyframes> {
-    let keyframes: Vec<usize> = (0..drive.scans.len()).filter(|&k| drive.is_keyframe[k]).collect();
+    let keyframes: Vec<usize> = (0..drive.n_scans()).filter(|&k| drive.is_keyframe[k]).collect();
     let keyframe_poses: Vec<Pose2> = keyframes.iter().map(|&k| poses[k]).collect();
     let path_m: Vec<f64> = keyframes.iter().map(|&k| drive.path_m[k]).collect();
     let retain_keyframes = |query: usize, near: &mut Vec<usize>| {
@@ -254,7 +254,7 @@ const LOOP_PARTNERS: usize = 6;
 /// Aligns all scans of a map jointly, along the path and over the closures: the earlier scans near a scan that
 /// `retain` keeps. Those that are held stay.
 pub(crate) fn align_all(
-    drive: &Drive<'_>,
+    drive: &Drive,
     poses: &[Pose2],
     is_in_map: &dyn Fn(usize) -> bool,
     is_held: &[bool],
@@ -271,7 +271,7 @@ pub(crate) fn align_all(
 
 /// Pairs of scans of a map that are close by the poses but not along the path.
 fn pairs_over_closures(
-    drive: &Drive<'_>,
+    drive: &Drive,
     poses: &[Pose2],
     is_in_map: &dyn Fn(usize) -> bool,
     retain: &Retain<'_>,
@@ -309,7 +309,7 @@ fn pairs_over_closures(
 
 /// A drive without accepted closures.
 fn unclosed(
-    drive: &Drive<'_>,
+    drive: &Drive,
     proposals: &[Proposal],
     reasons: &[Option<Reason>],
     detector: &Detector,
@@ -332,7 +332,7 @@ fn unclosed(
 
 /// A drive with accepted closures.
 fn closed(
-    drive: &Drive<'_>,
+    drive: &Drive,
     proposals: &[Proposal],
     reasons: &[Option<Reason>],
     detector: &Detector,
@@ -393,12 +393,12 @@ pub(crate) fn add_compared(
 
 /// The pose graph over all scans with the accepted closures, and the covariances of the poses.
 pub(crate) fn graph_of(
-    drive: &Drive<'_>,
+    drive: &Drive,
     poses: &[Pose2],
     accepted: &[Proposal],
     detector: &Detector,
 ) -> (Vec<Matrix3<f64>>, Vec<Edge>) {
-    let scans: Vec<usize> = (0..drive.scans.len()).collect();
+    let scans: Vec<usize> = (0..drive.n_scans()).collect();
     let mut edges = chain(drive, &drive.poses, &scans, &detector.drift);
     edges.extend(accepted.iter().filter_map(|closure| {
         Some(Edge {

@@ -12,7 +12,7 @@ use crate::support::Link;
 /// others are the `scans`, ascending. `joined` are pairs of scans that closures join. Those of other
 /// drives than the ones of `scans` are left out.
 pub(crate) fn trusted(
-    drive: &Drive<'_>,
+    drive: &Drive,
     poses: &[Pose2],
     scans: &[usize],
     joined: &[[usize; 2]],
@@ -40,7 +40,7 @@ pub(crate) fn trusted(
 
 /// The position in `scans` of the one that is nearest along the drive of a scan; `None` if none of them is
 /// of this drive.
-pub(crate) fn nearest_scan(drive: &Drive<'_>, scans: &[usize], scan: usize) -> Option<usize> {
+pub(crate) fn nearest_scan(drive: &Drive, scans: &[usize], scan: usize) -> Option<usize> {
     let part = drive.part_of(scan);
     let of_part = |k: &usize| drive.part_of(scans[*k]) == part;
     let next = scans.partition_point(|&other| other < scan);

@@ -4,6 +4,7 @@ use dataset::Pose2;
 
 use crate::align::near_share;
 use crate::points::Points;
+use crate::source::ScanSource;
 use crate::target::Target;
 
 /// The scans of this path before a break are compared with those of the path after it \[m\].
@@ -28,7 +29,9 @@ const REACH_M: f64 = 0.5;
 
 /// Registered scans of a drive. All slices have one entry per scan.
 pub(crate) struct Scans<'a> {
-    pub(crate) points: &'a [Points],
+    pub(crate) source: &'a dyn ScanSource,
+    /// Whether the points of a scan count.
+    pub(crate) is_used: &'a [bool],
     pub(crate) poses: &'a [Pose2],
     /// Path length by odometry \[m\].
     pub(crate) path_m: &'a [f64],
@@ -41,11 +44,12 @@ impl Scans<'_> {
     /// with each other. A single scan that agrees with nothing is none: a robot that tilts, or people around it. A
     /// robot that is carried back within 4 m is not noticed.
     pub(crate) fn breaks(&self) -> Vec<usize> {
-        (1..self.points.len()).filter(|&scan| self.is_break(scan)).collect()
+        (1..self.poses.len()).filter(|&scan| self.is_break(scan)).collect()
     }
 
     fn is_break(&self, scan: usize) -> bool {
-        let says_something = |k: &usize| MIN_POINTS <= self.points[*k].len();
+        let says_something =
+            |k: &usize| self.is_used[*k] && MIN_POINTS <= self.source.scan(*k).points().len();
         if OTHER_SHARE <= self.near_shares[scan] || !says_something(&scan) {
             return false;
         }
@@ -61,12 +65,13 @@ impl Scans<'_> {
         }
         let mut points = Points::default();
         for k in before {
-            points.extend_from(&self.poses[k], &self.points[k]);
+            points.extend_from(&self.poses[k], self.source.scan(k).points());
         }
         let target = Target::new(points, REACH_M);
-        after
-            .iter()
-            .all(|&k| near_share(&self.points[k], &target, &self.poses[k], REACH_M) < OTHER_SHARE)
+        after.iter().all(|&k| {
+            let scan = self.source.scan(k);
+            near_share(scan.points(), &target, &self.poses[k], REACH_M) < OTHER_SHARE
+        })
     }
 
     /// Whether most scans agree with those before them.

@@ -1,11 +1,11 @@
 //! A drive: scans in the order of time with their poses.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan};
 use model::OdometryNoise;
 use nalgebra::Matrix3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::align::Weakness;
@@ -13,7 +13,7 @@ use crate::breaks::Scans;
 use crate::joint::{JointOptions, JointScans, align_jointly, pairs_along_path};
 use crate::matcher::{Matched, MatcherOptions, ScanMatcher, is_decided};
 use crate::odometry::OdometryModel;
-use crate::points::Points;
+use crate::source::{DriveScan, HeldScans, ScanSource, Stretch};
 
 /// How a drive is registered.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -48,13 +48,13 @@ impl Default for RegisterOptions {
     }
 }
 
-/// A scan and where the odometry says the lidar is.
+/// What decides whether a scan is registered.
 #[derive(Debug, Clone, Copy)]
-pub struct OdometryScan<'a> {
-    /// The scan.
-    pub scan: &'a Scan,
+pub struct OdometryScan {
     /// Pose of the lidar by odometry.
     pub odometry: Pose2,
+    /// Angle that the scan covers \[deg\].
+    pub coverage_deg: f32,
     /// Whether the scan is a keyframe. A keyframe is always registered.
     pub is_keyframe: bool,
 }
@@ -62,8 +62,6 @@ pub struct OdometryScan<'a> {
 /// A registered scan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Registered {
-    /// Index in the scans given to [`register_drive`].
-    pub index: usize,
     /// Pose of the lidar, in the frame of the odometry of the first scan.
     pub pose: Pose2,
     /// Covariance of x, y and heading relative to the scans of the last metres. `None` for the first
@@ -87,13 +85,11 @@ impl Registered {
 }
 
 /// Registered scans in the order of time, as the later stages use them. All vectors have one entry
-/// per scan.
-#[derive(Debug, Clone)]
-pub struct Drive<'a> {
-    /// The scans.
-    pub scans: Vec<&'a Scan>,
-    /// Their points within the range limits, thinned, with normals.
-    pub points: Vec<Points>,
+/// per scan. The scans themselves are given by [`Drive::scan`].
+#[derive(Clone)]
+pub struct Drive {
+    /// The scans of each drive.
+    sources: Vec<Arc<dyn ScanSource>>,
     /// Pose of the lidar by odometry.
     pub odometry: Vec<Pose2>,
     /// Pose of the lidar by scan matching.
@@ -108,41 +104,53 @@ pub struct Drive<'a> {
     pub is_decided: Vec<bool>,
 }
 
-/// One point per square of this size is kept of a scan \[m\]. A scanner with thousands of returns per
-/// scan would otherwise need more time for the same result.
-const SCAN_VOXEL_M: f64 = 0.05;
 /// Path between the last scan of a drive and the first one of the next drive \[m\]: more than any two
 /// scans that count as neighbours along the path.
 pub const NEW_DRIVE_M: f64 = 1000.0;
 
-impl<'a> Drive<'a> {
-    /// Computes points and path. The path is the sum of the distances between consecutive scans, by
-    /// odometry.
+impl Drive {
+    /// Computes the path: the sum of the distances between consecutive scans, by odometry.
     ///
     /// # Panics
-    /// If the vectors have different lengths.
+    /// If the vectors do not have one entry per scan.
     pub fn new(
-        scans: Vec<&'a Scan>,
+        scans: Arc<dyn ScanSource>,
+        odometry: Vec<Pose2>,
+        poses: Vec<Pose2>,
+        is_keyframe: Vec<bool>,
+        is_decided: Vec<bool>,
+    ) -> Self {
+        let n = scans.len();
+        assert!(odometry.len() == n && poses.len() == n);
+        assert!(is_keyframe.len() == n && is_decided.len() == n);
+        let path_m = path_m(&odometry);
+        let (sources, starts) = (vec![scans], vec![0]);
+        Self { sources, odometry, poses, path_m, starts, is_keyframe, is_decided }
+    }
+
+    /// The same with scans in memory.
+    pub fn of_scans(
+        scans: Vec<&Scan>,
         odometry: Vec<Pose2>,
         poses: Vec<Pose2>,
         is_keyframe: Vec<bool>,
         is_decided: Vec<bool>,
         limits: RangeLimits,
     ) -> Self {
-        let n = scans.len();
-        assert!(odometry.len() == n && poses.len() == n);
-        assert!(is_keyframe.len() == n && is_decided.len() == n);
-        let points = scans.par_iter().map(|scan| points_of(scan, limits)).collect();
-        let path_m = path_m(&odometry);
-        Self { scans, points, odometry, poses, path_m, starts: vec![0], is_keyframe, is_decided }
+        let scans = Arc::new(HeldScans::new(scans.into_iter().cloned(), limits));
+        Self::new(scans, odometry, poses, is_keyframe, is_decided)
+    }
+
+    /// Number of scans.
+    pub fn n_scans(&self) -> usize {
+        self.poses.len()
     }
 
     /// Puts drives one after the other. Nothing is known of the motion between them: their poses need not
     /// be in one frame.
     pub fn joined(drives: Vec<Self>) -> Self {
         let mut joined = Self {
-            scans: Vec::new(),
-            points: Vec::new(),
+            sources: Vec::new(),
             odometry: Vec::new(),
             poses: Vec::new(),
             path_m: Vec::new(),
@@ -151,12 +159,11 @@ impl<'a> Drive<'a> {
             is_decided: Vec::new(),
         };
         for drive in drives {
-            let first = joined.scans.len();
+            let first = joined.n_scans();
             let from_m = joined.path_m.last().map_or(0.0, |last| last + NEW_DRIVE_M);
             joined.starts.extend(drive.starts.iter().map(|start| first + start));
             joined.path_m.extend(drive.path_m.iter().map(|path_m| from_m + path_m));
-            joined.scans.extend(drive.scans);
-            joined.points.extend(drive.points);
+            joined.sources.extend(drive.sources);
             joined.odometry.extend(drive.odometry);
             joined.poses.extend(drive.poses);
             joined.is_keyframe.extend(drive.is_keyframe);
@@ -168,13 +175,12 @@ impl<'a> Drive<'a> {
     /// The drives of [`Drive::joined`], one by one.
     pub fn split(mut self) -> Vec<Self> {
         let mut drives = Vec::new();
-        while let Some(start) = self.starts.pop() {
+        while let (Some(start), Some(source)) = (self.starts.pop(), self.sources.pop()) {
             let mut path_m = self.path_m.split_off(start);
             let from_m = path_m.first().copied().unwrap_or_default();
             path_m.iter_mut().for_each(|m| *m -= from_m);
             drives.push(Self {
-                scans: self.scans.split_off(start),
-                points: self.points.split_off(start),
+                sources: vec![source],
                 odometry: self.odometry.split_off(start),
                 poses: self.poses.split_off(start),
                 path_m,
@@ -189,7 +195,7 @@ impl<'a> Drive<'a> {
 
     /// The scans of each drive.
     pub fn parts(&self) -> Vec<Range<usize>> {
-        let ends = self.starts.iter().skip(1).copied().chain([self.scans.len()]);
+        let ends = self.starts.iter().skip(1).copied().chain([self.n_scans()]);
         self.starts.iter().copied().zip(ends).map(|(start, end)| start..end).collect()
     }
 
@@ -223,7 +229,7 @@ impl<'a> Drive<'a> {
             odometry.extend(corrected);
         }
         let scans = JointScans {
-            points: &self.points,
+            source: self,
             odometry: &odometry,
             path_m: &self.path_m,
             noise: &noise_of_steps,
@@ -233,9 +239,15 @@ impl<'a> Drive<'a> {
     }
 }
 
-/// The points of a scan as registration uses them: within the limits, one per square of 0.05 m.
-pub fn points_of(scan: &Scan, limits: RangeLimits) -> Points {
-    Points::from_scan(scan, limits).thin(SCAN_VOXEL_M)
+impl ScanSource for Drive {
+    fn len(&self) -> usize {
+        self.n_scans()
+    }
+
+    fn scan(&self, index: usize) -> Arc<DriveScan> {
+        let part = self.part_of(index);
+        self.sources[part].scan(index - self.starts[part])
+    }
 }
 
 /// Path length at each pose: the sum of the distances between consecutive poses \[m\].
@@ -254,30 +266,32 @@ impl RegisterOptions {
     }
 }
 
-/// Registers a drive: chooses scans, learns the error of the odometry from pieces of the drive, matches
-/// each scan with those of the last metres, then aligns all of them together. `limits` are the range
-/// limits of the lidar. `noise` is the error of odometry in general; that of the drive is not larger.
+/// Registers a drive: learns the error of the odometry from pieces of the drive, matches each scan with
+/// those of the last metres, then aligns all of them together. `odometry` has the pose of the lidar at each scan.
+/// `noise` is the error of odometry in general; that of the drive is not larger. The result has one entry per scan.
 ///
 /// Where the scans suddenly show another place ([`Registered::is_break`]), a new drive begins, which is registered by
 /// itself.
+///
+/// # Panics
+/// If there is not one pose per scan.
 pub fn register_drive(
-    scans: &[OdometryScan<'_>],
-    limits: RangeLimits,
+    scans: &dyn ScanSource,
+    odometry: &[Pose2],
     noise: &OdometryNoise,
-    options: &RegisterOptions,
+    options: &MatcherOptions,
 ) -> Vec<Registered> {
-    let registered = register_continuous(scans, limits, noise, options);
-    let breaks: Vec<usize> =
-        registered.iter().filter(|scan| scan.is_break).map(|scan| scan.index).collect();
+    let registered = register_continuous(scans, odometry, noise, options);
+    let breaks: Vec<usize> = (0..registered.len()).filter(|&k| registered[k].is_break).collect();
     if breaks.is_empty() {
         return registered;
     }
     let starts = [0].into_iter().chain(breaks.iter().copied());
-    let ends = breaks.iter().copied().chain([scans.len()]);
+    let ends = breaks.iter().copied().chain([odometry.len()]);
     let of_part = |(start, end): (usize, usize)| {
-        let mut part = register_continuous(&scans[start..end], limits, noise, options);
+        let stretch = Stretch { source: scans, first: start, n: end - start };
+        let mut part = register_continuous(&stretch, &odometry[start..end], noise, options);
         for (k, scan) in part.iter_mut().enumerate() {
-            scan.index += start;
             scan.is_break = k == 0 && 0 < start;
         }
         part
@@ -287,38 +301,31 @@ pub fn register_drive(
 
 /// Registers a drive as if it had no breaks, and finds them.
 fn register_continuous(
-    scans: &[OdometryScan<'_>],
-    limits: RangeLimits,
+    scans: &dyn ScanSource,
+    odometry: &[Pose2],
     noise: &OdometryNoise,
-    options: &RegisterOptions,
+    options: &MatcherOptions,
 ) -> Vec<Registered> {
-    let chosen = choose(scans, options);
-    let limits = options.limits(limits);
-    let points: Vec<Points> =
-        chosen.par_iter().map(|&k| points_of(scans[k].scan, limits)).collect();
-    let odometry: Vec<Pose2> = chosen.iter().map(|&k| scans[k].odometry).collect();
-    let model = OdometryModel::of_pieces(&points, &odometry, noise, &options.matcher);
-    let odometry = model.corrected_poses(&odometry);
-    let mut matcher = ScanMatcher::new(options.matcher, *noise).with_usual_noise(model.noise);
-    let matched: Vec<Matched> = points
+    assert_eq!(scans.len(), odometry.len(), "one pose per scan");
+    let model = OdometryModel::of_pieces(scans, odometry, noise, options);
+    let odometry = model.corrected_poses(odometry);
+    let mut matcher = ScanMatcher::new(*options, *noise).with_usual_noise(model.noise);
+    let matched: Vec<Matched> = odometry
         .iter()
-        .zip(&odometry)
-        .map(|(points, pose)| matcher.add(points.clone(), pose))
+        .enumerate()
+        .map(|(k, pose)| matcher.add(scans.scan(k).points().clone(), pose))
         .collect();
     let path_m = path_m(&odometry);
-    let pairs = pairs_along_path(&path_m);
-    let used: Vec<Points> = points
-        .into_iter()
-        .zip(&matched)
-        .map(|(points, matched)| if matched.is_used { points } else { Points::default() })
-        .collect();
+    let is_used: Vec<bool> = matched.iter().map(|matched| matched.is_used).collect();
+    let mut pairs = pairs_along_path(&path_m);
+    pairs.retain(|&(earlier, later)| is_used[earlier] && is_used[later]);
     let poses: Vec<Pose2> = matched.iter().map(|matched| matched.pose).collect();
     let is_decided: Vec<bool> = matched.iter().map(Matched::is_decided).collect();
     let noise = model.noise_of_steps(&odometry, &poses, &is_decided, noise);
     let noise: Vec<_> = noise.into_iter().map(Some).collect();
-    let is_held: Vec<bool> = (0..used.len()).map(|scan| scan == 0).collect();
+    let is_held: Vec<bool> = (0..poses.len()).map(|scan| scan == 0).collect();
     let joint = JointScans {
-        points: &used,
+        source: scans,
         odometry: &odometry,
         path_m: &path_m,
         noise: &noise,
@@ -326,12 +333,17 @@ fn register_continuous(
     };
     let poses = align_jointly(&joint, &poses, &pairs, &JointOptions::default());
     let near_shares: Vec<f64> = matched.iter().map(|matched| matched.near_share).collect();
-    let scans = Scans { points: &used, poses: &poses, path_m: &path_m, near_shares: &near_shares };
+    let scans = Scans {
+        source: scans,
+        is_used: &is_used,
+        poses: &poses,
+        path_m: &path_m,
+        near_shares: &near_shares,
+    };
     let breaks = scans.breaks();
-    let registered = chosen.iter().zip(&poses).zip(&matched).enumerate();
+    let registered = poses.iter().zip(&matched).enumerate();
     registered
-        .map(|(k, ((&index, &pose), matched))| Registered {
-            index,
+        .map(|(k, (&pose, matched))| Registered {
             pose,
             covariance: matched.covariance,
             near_share: matched.near_share,
@@ -341,8 +353,9 @@ fn register_continuous(
         .collect()
 }
 
-/// The scans to register: the first one, keyframes, and those after enough path or turning.
-fn choose(scans: &[OdometryScan<'_>], options: &RegisterOptions) -> Vec<usize> {
+/// The indices of the scans that are registered: the first one, keyframes, and those after enough path or
+/// turning.
+pub fn scans_to_register(scans: &[OdometryScan], options: &RegisterOptions) -> Vec<usize> {
     let mut chosen: Vec<usize> = Vec::new();
     let mut since_m = 0.0;
     for (k, scan) in scans.iter().enumerate() {
@@ -351,7 +364,7 @@ fn choose(scans: &[OdometryScan<'_>], options: &RegisterOptions) -> Vec<usize> {
         }
         let is_due = chosen.last().is_none_or(|&last| {
             let turned = scan.odometry.heading_difference_rad(&scans[last].odometry);
-            let (spacing_m, turn_deg) = match scan.scan.coverage_deg < FULL_RING_DEG {
+            let (spacing_m, turn_deg) = match scan.coverage_deg < FULL_RING_DEG {
                 true => (options.spacing_m, options.turn_deg),
                 false => (options.full_circle_spacing_m, options.full_circle_turn_deg),
             };

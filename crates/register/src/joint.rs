@@ -1,12 +1,16 @@
 //! Joint alignment: the poses of many scans at once, so that all pairs of them fit.
 
+use std::collections::BTreeSet;
+
 use dataset::{Pose2, wrap_angle};
 use model::OdometryNoise;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
 use crate::align::discount_normals;
+use crate::kept::Kept;
 use crate::points::{Motion, Points};
+use crate::source::ScanSource;
 use crate::sparse::BlockSystem;
 use crate::target::{AlongScan, Target};
 
@@ -44,10 +48,10 @@ impl Default for JointOptions {
 }
 
 /// Scans that are aligned jointly. All slices have one entry per scan.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone, Copy)]
 pub struct JointScans<'a> {
-    /// The points of each scan, in its own frame.
-    pub points: &'a [Points],
+    /// The scans.
+    pub source: &'a dyn ScanSource,
     /// The pose of each scan by odometry.
     pub odometry: &'a [Pose2],
     /// Path length by odometry \[m\].
@@ -70,6 +74,10 @@ const MAX_FIRST_STEP: f64 = 0.3;
 const MIN_STEP_M: f64 = 0.05;
 /// Information that holds a pose \[1/m^2\].
 const ANCHOR: f64 = 1e9;
+/// Pairs whose scans are in memory at once.
+const PAIRS_AT_ONCE: usize = 8192;
+/// The most scans that are kept for the next iteration. Each needs about 0.1 MB.
+const MAX_KEPT: usize = 2048;
 /// Added to the diagonal, so that a pose without any information stays.
 const DAMPING: f64 = 1e-6;
 
@@ -86,44 +94,37 @@ pub fn align_jointly(
     options: &JointOptions,
 ) -> Vec<Pose2> {
     let n = poses.len();
-    let mut has_pairs = vec![false; n];
-    pairs.iter().for_each(|&(a, b)| (has_pairs[a], has_pairs[b]) = (true, true));
-    let used = || scans.points.par_iter().zip(&has_pairs);
-    let targets: Vec<Option<Target>> = used()
-        .map(|(points, &has_pairs)| {
-            let is_target = has_pairs && MIN_POINTS <= points.len();
-            is_target.then(|| Target::new(points.clone(), options.first_gate_m))
-        })
-        .collect();
-    let sources: Vec<Points> = used()
-        .map(|(points, &has_pairs)| match has_pairs {
-            true => points.thin(SOURCE_VOXEL_M),
-            false => Points::default(),
-        })
-        .collect();
+    // In this order, consecutive pairs have scans in common.
+    let mut pairs = pairs.to_vec();
+    pairs.sort_by_key(|&(a, b)| a.max(b));
+    let kept = Kept::new(MAX_KEPT);
     let steps = (1..n).map(|k| (k - 1, k));
     let mut system = BlockSystem::new(n, pairs.iter().copied().chain(steps));
     let mut poses = poses.to_vec();
     for iteration in 0..options.iterations {
         let gates = Gates::of(iteration, options);
         system.clear();
-        let terms: Vec<[Option<Term>; 2]> = pairs
-            .par_iter()
-            .map(|&(a, b)| {
-                let term = |a: usize, b: usize| {
-                    let target = targets[a].as_ref()?;
-                    let a_from_b = poses[a].inverse() * poses[b];
-                    Some(pair_term(&sources[b], target, &a_from_b, &gates))
-                };
-                [term(a, b), term(b, a)]
-            })
-            .collect();
-        for (&(a, b), [forward, backward]) in pairs.iter().zip(&terms) {
-            if let Some(term) = forward {
-                term.add_to(&mut system, a, b, &poses);
-            }
-            if let Some(term) = backward {
-                term.add_to(&mut system, b, a, &poses);
+        for pairs in pairs.chunks(PAIRS_AT_ONCE) {
+            let wanted: BTreeSet<usize> = pairs.iter().flat_map(|&(a, b)| [a, b]).collect();
+            let scans = kept.get(&wanted, |k| Prepared::new(scans.source, k, options));
+            let terms: Vec<[Option<Term>; 2]> = pairs
+                .par_iter()
+                .map(|&(a, b)| {
+                    let term = |a: usize, b: usize| {
+                        let target = scans[&a].target.as_ref()?;
+                        let a_from_b = poses[a].inverse() * poses[b];
+                        Some(pair_term(&scans[&b].source, target, &a_from_b, &gates))
+                    };
+                    [term(a, b), term(b, a)]
+                })
+                .collect();
+            for (&(a, b), [forward, backward]) in pairs.iter().zip(&terms) {
+                if let Some(term) = forward {
+                    term.add_to(&mut system, a, b, &poses);
+                }
+                if let Some(term) = backward {
+                    term.add_to(&mut system, b, a, &poses);
+                }
             }
         }
         for k in 1..n {
@@ -148,6 +149,25 @@ pub fn align_jointly(
         }
     }
     poses
+}
+
+/// A scan that takes part in pairs.
+struct Prepared {
+    /// `None` if it has too few points.
+    target: Option<Target>,
+    source: Points,
+}
+
+impl Prepared {
+    fn new(scans: &dyn ScanSource, k: usize, options: &JointOptions) -> Self {
+        let scan = scans.scan(k);
+        let points = scan.points();
+        let is_target = MIN_POINTS <= points.len();
+        Self {
+            target: is_target.then(|| Target::new(points.clone(), options.first_gate_m)),
+            source: points.thin(SOURCE_VOXEL_M),
+        }
+    }
 }
 
 /// Scans are compared with those of the last metres of path \[m\].

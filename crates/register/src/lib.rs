@@ -54,10 +54,12 @@ mod breaks;
 mod correlate;
 mod drive;
 mod joint;
+mod kept;
 mod matcher;
 mod node;
 mod odometry;
 mod points;
+mod source;
 mod sparse;
 mod still;
 mod submap;
@@ -67,13 +69,16 @@ mod uncertainty;
 pub use align::{AlignOptions, Alignment, NEAR_M, Prior, Weakness, align, near_share};
 pub use correlate::{BestPose, BlurredMap, Preference, Window, search};
 pub use drive::{
-    Drive, NEW_DRIVE_M, OdometryScan, RegisterOptions, Registered, points_of, register_drive,
+    Drive, NEW_DRIVE_M, OdometryScan, RegisterOptions, Registered, register_drive,
+    scans_to_register,
 };
 pub use joint::{JointOptions, JointScans, align_jointly, pairs_along_path, relative_derivatives};
+pub use kept::Kept;
 pub use matcher::{Matched, MatcherOptions, ScanMatcher, is_decided};
-pub use node::{Fit, Node, NodeMember, fit, fit_options, members_around, places};
+pub use node::{Fit, Node, NodeMember, fit, fit_options, places};
 pub use odometry::{OdometryModel, OdometryStep};
 pub use points::Points;
+pub use source::{DriveScan, HeldScans, ScanSource, points_of};
 pub use sparse::{BlockSystem, Factor};
 pub use submap::{Member, Square, Submap, SubmapOptions};
 pub use target::Target;

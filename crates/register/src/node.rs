@@ -1,10 +1,13 @@
 //! Nodes: the scans of a few metres of path as points and as a submap; and how well two nodes fit.
 
+use std::sync::Arc;
+
 use dataset::{Pose2, Scan};
 
 use crate::align::{AlignOptions, Alignment, Prior, align};
 use crate::drive::Drive;
 use crate::points::{Motion, Points, length};
+use crate::source::{DriveScan, ScanSource};
 use crate::still::StillSquares;
 use crate::submap::{Member, Square, Submap, SubmapOptions};
 use crate::target::Target;
@@ -207,7 +210,7 @@ fn one_direction(a: &Node, b: &Node, a_from_b: &Pose2) -> OneDirection {
 const MIN_MEMBER_POINTS: usize = 15;
 
 /// Keyframes at least `step_m` of path apart, from the first one on.
-pub fn places(drive: &Drive<'_>, step_m: f64) -> Vec<usize> {
+pub fn places(drive: &Drive, step_m: f64) -> Vec<usize> {
     let mut places = Vec::new();
     let mut next_m = f64::NEG_INFINITY;
     for (k, &path_m) in drive.path_m.iter().enumerate() {
@@ -219,15 +222,14 @@ pub fn places(drive: &Drive<'_>, step_m: f64) -> Vec<usize> {
     places
 }
 
-/// The scans of a drive up to `half_m` of path before and after a scan, in the frame of that scan. `poses` are the
-/// poses of all scans of the drive. Scans with fewer than 15 points are left out: they say little, and
-/// their poses are badly known.
-pub fn members_around<'a>(
-    drive: &'a Drive<'_>,
+/// The scans of a drive up to `half_m` of path before and after a scan, each with its pose in the frame of that
+/// scan. Scans with few points are left out: they say little, and their poses are badly known.
+fn scans_around(
+    drive: &Drive,
     poses: &[Pose2],
     scan: usize,
     half_m: f64,
-) -> Vec<NodeMember<'a>> {
+) -> Vec<(Pose2, Arc<DriveScan>)> {
     let from_m = drive.path_m[scan] - half_m;
     let to_m = drive.path_m[scan] + half_m;
     // The path never becomes shorter.
@@ -235,24 +237,43 @@ pub fn members_around<'a>(
     let last = drive.path_m.partition_point(|&m| m <= to_m);
     let node_from_map = poses[scan].inverse();
     (first..last)
-        .filter(|&k| MIN_MEMBER_POINTS <= drive.points[k].len())
-        .map(|k| NodeMember {
-            node_from_scan: node_from_map * poses[k],
-            scan: drive.scans[k],
-            points: &drive.points[k],
+        .map(|k| (node_from_map * poses[k], drive.scan(k)))
+        .filter(|(_, scan)| MIN_MEMBER_POINTS <= scan.points().len())
+        .collect()
+}
+
+fn members(scans: &[(Pose2, Arc<DriveScan>)]) -> Vec<NodeMember<'_>> {
+    scans
+        .iter()
+        .map(|(node_from_scan, scan)| NodeMember {
+            node_from_scan: *node_from_scan,
+            scan: scan.scan(),
+            points: scan.points(),
         })
         .collect()
 }
 
 impl Node {
-    /// Joins the scans around a scan of a drive, see [`members_around`].
+    /// Joins the scans of a drive up to `half_m` of path before and after a scan, in the frame of that scan. `poses`
+    /// are the poses of all scans of the drive. Scans with fewer than 15 points are left out.
     pub fn around(
-        drive: &Drive<'_>,
+        drive: &Drive,
         poses: &[Pose2],
         scan: usize,
         half_m: f64,
         options: &SubmapOptions,
     ) -> Self {
-        Self::new(&members_around(drive, poses, scan, half_m), options)
+        Self::new(&members(&scans_around(drive, poses, scan, half_m)), options)
+    }
+
+    /// The same, without the returns of things that move, see [`Node::of_still`].
+    pub fn still_around(
+        drive: &Drive,
+        poses: &[Pose2],
+        scan: usize,
+        half_m: f64,
+        options: &SubmapOptions,
+    ) -> Self {
+        Self::of_still(&members(&scans_around(drive, poses, scan, half_m)), options)
     }
 }

@@ -6,7 +6,8 @@ use nalgebra::{Matrix2, Vector2, Vector3};
 use rayon::prelude::*;
 
 use crate::matcher::{MatcherOptions, ScanMatcher};
-use crate::points::{Points, length};
+use crate::points::length;
+use crate::source::ScanSource;
 
 /// How the odometry of a drive differs from the motion that its scans show.
 ///
@@ -100,22 +101,24 @@ impl OdometryModel {
 
     /// Fits the model to a drive before it is registered: pieces of it are registered by themselves.
     pub(crate) fn of_pieces(
-        points: &[Points],
+        scans: &dyn ScanSource,
         odometry: &[Pose2],
         noise: &OdometryNoise,
         options: &MatcherOptions,
     ) -> Self {
-        let n_pieces = points.len().div_ceil(PIECE).min(MAX_PIECES);
+        let n_pieces = odometry.len().div_ceil(PIECE).min(MAX_PIECES);
         let of_pieces: Vec<Vec<OdometryStep>> = (0..n_pieces)
             .into_par_iter()
             .map(|piece| {
-                let start = piece * points.len() / n_pieces;
-                let scans = start..(start + PIECE).min(points.len());
+                let start = piece * odometry.len() / n_pieces;
+                let of_piece = start..(start + PIECE).min(odometry.len());
                 let mut matcher = ScanMatcher::new(*options, *noise);
-                let matched = scans.clone().map(|k| matcher.add(points[k].clone(), &odometry[k]));
+                let matched = of_piece
+                    .clone()
+                    .map(|k| matcher.add(scans.scan(k).points().clone(), &odometry[k]));
                 let (poses, is_decided): (Vec<Pose2>, Vec<bool>) =
                     matched.map(|matched| (matched.pose, matched.is_decided())).unzip();
-                decided_steps(&odometry[scans], &poses, &is_decided)
+                decided_steps(&odometry[of_piece], &poses, &is_decided)
             })
             .collect();
         let steps: Vec<OdometryStep> = of_pieces.into_iter().flatten().collect();

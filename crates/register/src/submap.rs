@@ -65,8 +65,27 @@ pub enum Square {
 pub struct Submap {
     square_m: f64,
     n_squares: usize,
-    /// Row-major, x first, `(n_squares, n_squares)`.
-    squares: Vec<Square>,
+    occupied: Bits,
+    free: Bits,
+}
+
+/// One bit per square, row-major, x first. A drive has thousands of submaps, which should fit into memory.
+#[derive(Debug, Clone, PartialEq)]
+struct Bits(Vec<u64>);
+
+impl Bits {
+    fn of(values: impl ExactSizeIterator<Item = bool>) -> Self {
+        let mut words = vec![0; values.len().div_ceil(64)];
+        for (k, value) in values.enumerate() {
+            words[k / 64] |= u64::from(value) << (k % 64);
+        }
+        Self(words)
+    }
+
+    #[inline]
+    fn at(&self, k: usize) -> bool {
+        self.0[k / 64] >> (k % 64) & 1 == 1
+    }
 }
 
 impl Submap {
@@ -96,12 +115,14 @@ impl Submap {
             0 < hits && options.min_hits_per_free * f64::from(free) <= f64::from(hits)
         };
         let occupied: Vec<bool> = (0..n * n).map(is_occupied).collect();
-        let squares = (0..n * n).map(|k| match occupied[k] {
-            true => Square::Occupied,
-            false if 0 < counts.free[k] && !has_neighbour(&occupied, n, k) => Square::Free,
-            false => Square::Unknown,
-        });
-        Self { square_m: options.square_m, n_squares: n, squares: squares.collect() }
+        let is_free =
+            |k: usize| !occupied[k] && 0 < counts.free[k] && !has_neighbour(&occupied, n, k);
+        Self {
+            square_m: options.square_m,
+            n_squares: n,
+            free: Bits::of((0..n * n).map(is_free)),
+            occupied: Bits::of(occupied.iter().copied()),
+        }
     }
 
     /// Squares per side.
@@ -115,14 +136,41 @@ impl Submap {
     }
 
     /// All squares, row-major, x first, `(n_squares, n_squares)`.
-    pub fn squares(&self) -> &[Square] {
-        &self.squares
+    pub fn squares(&self) -> impl Iterator<Item = Square> + '_ {
+        (0..self.n_squares * self.n_squares).map(|k| self.square(k))
+    }
+
+    fn square(&self, k: usize) -> Square {
+        match (self.occupied.at(k), self.free.at(k)) {
+            (true, _) => Square::Occupied,
+            (false, true) => Square::Free,
+            (false, false) => Square::Unknown,
+        }
+    }
+
+    /// The squares of a kind, as row and column, in the order of [`Submap::squares`].
+    pub fn of_kind(&self, kind: Square) -> impl Iterator<Item = [usize; 2]> + '_ {
+        let n = self.n_squares;
+        let words = self.occupied.0.iter().zip(&self.free.0).enumerate();
+        let bits = words.flat_map(move |(word, (occupied, free))| {
+            let mut left = match kind {
+                Square::Occupied => *occupied,
+                Square::Free => *free,
+                Square::Unknown => !(occupied | free),
+            };
+            std::iter::from_fn(move || {
+                let next = (left != 0).then(|| 64 * word + left.trailing_zeros() as usize);
+                left &= left.wrapping_sub(1);
+                next
+            })
+        });
+        // The last word has more bits than squares.
+        bits.take_while(move |&k| k < n * n).map(move |k| [k / n, k % n])
     }
 
     /// The square at a position in the frame of the node. [`Square::Unknown`] outside the submap.
     pub fn at(&self, position_m: [f64; 2]) -> Square {
-        index(position_m, self.n_squares, self.square_m)
-            .map_or(Square::Unknown, |k| self.squares[k])
+        index(position_m, self.n_squares, self.square_m).map_or(Square::Unknown, |k| self.square(k))
     }
 
     /// Whether the square at a position or one of its 8 neighbours is occupied.
@@ -130,18 +178,15 @@ impl Submap {
         index(position_m, self.n_squares, self.square_m).is_some_and(|k| {
             let n = self.n_squares;
             let around = |v: usize| v.saturating_sub(1)..(v + 2).min(n);
-            around(k / n)
-                .any(|a| around(k % n).any(|b| self.squares[a * n + b] == Square::Occupied))
+            around(k / n).any(|a| around(k % n).any(|b| self.occupied.at(a * n + b)))
         })
     }
 
     /// The centres of the squares of a kind \[m\], in the frame of the node.
     pub fn centres(&self, kind: Square) -> impl Iterator<Item = [f64; 2]> + '_ {
-        let of_kind = self.squares.iter().enumerate().filter(move |(_, square)| **square == kind);
-        of_kind.map(|(k, _)| {
-            let square = [k / self.n_squares, k % self.n_squares].map(|k| k as f64);
-            centre_m(square, self.n_squares, self.square_m)
-        })
+        let centre =
+            |square: [usize; 2]| centre_m(square.map(|k| k as f64), self.n_squares, self.square_m);
+        self.of_kind(kind).map(centre)
     }
 }
 

@@ -162,7 +162,8 @@ fn tile(scans: &[PlacedScan<'_>], origin_m: [f64; 2], x: usize, y: usize) -> Vec
         ..SubmapOptions::default()
     };
     let submap = Submap::new(&members, &options);
-    let rows = submap.squares().chunks(n).skip(1).take(TILE_SQUARES);
+    let squares: Vec<Square> = submap.squares().collect();
+    let rows = squares.chunks(n).skip(1).take(TILE_SQUARES);
     rows.flat_map(|row| &row[1..=TILE_SQUARES]).copied().collect()
 }
 

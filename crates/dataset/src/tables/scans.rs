@@ -13,7 +13,8 @@
 
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::Path;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use arrow_array::builder::{Float32Builder, ListBuilder};
@@ -26,7 +27,9 @@ use arrow_array::{
 use arrow_schema::{DataType, Field, Schema, SchemaRef};
 use parquet::arrow::ArrowSchemaConverter;
 use parquet::arrow::ProjectionMask;
-use parquet::arrow::arrow_reader::{RowSelection, RowSelector};
+use parquet::arrow::arrow_reader::{
+    ArrowReaderMetadata, ParquetRecordBatchReaderBuilder, RowSelection, RowSelector,
+};
 use parquet::arrow::arrow_writer::{ArrowColumnChunk, ArrowRowGroupWriterFactory, compute_leaves};
 use parquet::basic::Encoding;
 use parquet::errors::ParquetError;
@@ -36,7 +39,7 @@ use parquet::schema::types::ColumnPath;
 use rayon::prelude::*;
 
 use super::columns::Columns;
-use super::file::{open_table, properties, unreadable, write_error};
+use super::file::{open_table, properties, read_error, unreadable, write_error};
 use super::{Provenance, Result, TableError, write_atomically};
 use crate::{Losses, Note, Scan};
 
@@ -303,6 +306,59 @@ pub fn read_scans<E: From<TableError>>(
         take(scans_of(path, &batch)?)?;
     }
     Ok(())
+}
+
+/// A table of scans that is read in pieces, in any order.
+#[derive(Debug)]
+pub struct ScanTable {
+    path: PathBuf,
+    metadata: ArrowReaderMetadata,
+    /// The rows of each group.
+    groups: Vec<Range<u32>>,
+}
+
+impl ScanTable {
+    /// Opens a table, and reads where its groups are.
+    pub fn open(path: &Path) -> Result<Self> {
+        let (builder, _) = open_table(path, "scans")?;
+        let file_metadata = builder.metadata().clone();
+        let metadata = ArrowReaderMetadata::try_new(file_metadata, Default::default())
+            .map_err(|e| unreadable(path, e))?;
+        let mut groups: Vec<Range<u32>> = Vec::new();
+        for group in metadata.metadata().row_groups() {
+            let first = groups.last().map_or(0, |last| last.end);
+            groups.push(first..first + u32::try_from(group.num_rows()).unwrap_or_default());
+        }
+        Ok(Self { path: path.to_owned(), metadata, groups })
+    }
+
+    /// The numbers of the scans that are stored together, group by group. A scan is read with all scans of its
+    /// group, so it is fastest to read those of a group at once.
+    pub fn groups(&self) -> &[Range<u32>] {
+        &self.groups
+    }
+
+    /// Reads scans of a group. The numbers must be strictly ascending.
+    pub fn read(&self, group: usize, scans: &[u32]) -> Result<Vec<Scan>> {
+        let Range { start, end } = self.groups[group];
+        let in_group: Vec<u32> = scans.iter().map(|scan| scan.wrapping_sub(start)).collect();
+        let selection = row_selection(&self.path, &in_group, (end - start) as usize)?;
+        let failed = |e| unreadable(&self.path, e);
+        let file = File::open(&self.path).map_err(|source| read_error(&self.path, source))?;
+        let reader =
+            ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone())
+                .with_row_groups(vec![group])
+                .with_row_selection(selection)
+                .with_batch_size(scans.len().max(1))
+                .build()
+                .map_err(failed)?;
+        let mut found = Vec::with_capacity(scans.len());
+        for batch in reader {
+            let batch = batch.map_err(|e| unreadable(&self.path, e))?;
+            found.extend(scans_of(&self.path, &batch)?);
+        }
+        Ok(found)
+    }
 }
 
 /// The row selection that selects only `scans`.

@@ -1,7 +1,7 @@
 //! A drive of 200 m along a hall with columns, 1000 scans of 180 beams.
 
 use dataset::{Pose2, RangeLimits, Scan};
-use register::{Drive, Points};
+use register::Drive;
 
 /// A scan at x along a hall whose walls are at y = -3 and y = 3, with a column every few metres.
 fn scan(x_m: f64) -> Scan {
@@ -30,20 +30,22 @@ pub(crate) fn scans() -> Vec<Scan> {
     (0..1000).map(|k| scan(0.2 * f64::from(k))).collect()
 }
 
-pub(crate) fn drive(scans: &[Scan]) -> Drive<'_> {
+pub(crate) fn drive(scans: &[Scan]) -> Drive {
     let limits = RangeLimits { min_m: 0.1, max_m: 25.0 };
     let path_m: Vec<f64> = (0..scans.len()).map(|k| 0.2 * k as f64).collect();
     let poses: Vec<Pose2> = path_m.iter().map(|&x_m| Pose2 { x_m, ..Pose2::default() }).collect();
-    Drive {
-        scans: scans.iter().collect(),
-        points: scans.iter().map(|scan| Points::from_scan(scan, limits)).collect(),
-        odometry: poses.clone(),
-        poses,
-        path_m,
-        starts: vec![0],
-        is_keyframe: vec![true; scans.len()],
-        is_decided: vec![true; scans.len()],
-    }
+    let all = vec![true; scans.len()];
+    let odometry = poses.clone();
+    let mut drive = Drive::of_scans(
+        scans.iter().collect(),
+        odometry.clone(),
+        odometry,
+        all.clone(),
+        all,
+        limits,
+    );
+    drive.path_m = path_m;
+    drive
 }
 
 pub(crate) fn single_thread() -> rayon::ThreadPool {

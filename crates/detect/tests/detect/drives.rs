@@ -19,7 +19,7 @@ fn there_and_back() -> Vec<Pose2> {
     poses
 }
 
-fn candidates(drive: &Drive<'_>, n_candidates: u32) -> Vec<Candidate> {
+fn candidates(drive: &Drive, n_candidates: u32) -> Vec<Candidate> {
     let places = Places::new(drive, &drive.poses, 2.5, 5.0);
     let detector = Detector { n_candidates, ..Detector::starting_values() };
     find_candidates(drive, &places, &detector, 20.0, None)
@@ -40,7 +40,7 @@ fn a_place_is_a_keyframe_every_2_m_with_the_scans_around_it() {
         *is_keyframe = k % 3 == 1;
     }
     let places = Places::new(&drive, &poses, 2.0, 1.0);
-    assert_eq!(places.scans.len(), places.nodes.len());
+    assert_eq!(places.scans.len(), places.submaps.len());
     assert_eq!(places.scans[0], 1);
     for pair in places.scans.windows(2) {
         let step_m = drive.path_m[pair[1]] - drive.path_m[pair[0]];
@@ -49,9 +49,8 @@ fn a_place_is_a_keyframe_every_2_m_with_the_scans_around_it() {
         assert!(drive.is_keyframe[pair[1]]);
     }
     // Five scans on either side are within 1 m, and more see more squares.
-    let known = |places: &Places| {
-        let squares = places.nodes[3].submap().squares();
-        squares.iter().filter(|s| **s != register::Square::Unknown).count()
+    let known = |places: &Places<'_>| {
+        places.submaps[3].squares().filter(|s| *s != register::Square::Unknown).count()
     };
     assert!(known(&places) < known(&Places::new(&drive, &poses, 2.0, 5.0)));
 }
@@ -63,7 +62,7 @@ fn scans_with_few_returns_take_no_part_in_a_place() {
     let mut scans = World::room().scans(&poses, 360, 1);
     let squares = |scans: &[Scan]| {
         let drive = drive(scans, &poses);
-        Places::new(&drive, &poses, 5.0, 5.0).nodes[0].submap().clone()
+        Places::new(&drive, &poses, 5.0, 5.0).submaps[0].clone()
     };
     let few = |n: u32| Scan {
         x_m: (0..n).map(|k| 0.1 * k as f32).collect(),

@@ -5,25 +5,12 @@ use std::f64::consts::PI;
 use dataset::{Pose2, Scan};
 use detect::{Candidate, Places, find_candidates};
 use model::Detector;
-use register::{Drive, Node, NodeMember, SubmapOptions};
 
 use crate::world::{World, drive, pose};
 
 /// Poses around the first one, every 0.3 m.
 fn poses_around(centre: Pose2) -> Vec<Pose2> {
     (-3..=3).map(|k| centre * pose(0.3 * f64::from(k), 0.0, 0.0)).collect()
-}
-
-/// A node of the scans `from..from + 7` in the frame of the middle one.
-fn node(drive: &Drive<'_>, from: usize) -> Node {
-    let node_from_map = drive.poses[from + 3].inverse();
-    let member = |k: usize| NodeMember {
-        node_from_scan: node_from_map * drive.poses[k],
-        scan: drive.scans[k],
-        points: &drive.points[k],
-    };
-    let members: Vec<NodeMember<'_>> = (from..from + 7).map(member).collect();
-    Node::new(&members, &SubmapOptions::default())
 }
 
 /// The candidate of a place of one world and a place of another one.
@@ -39,7 +26,8 @@ fn candidate(
     let mut drive = drive(&scans, &poses);
     // A long way between the two places.
     drive.path_m[7..].iter_mut().for_each(|path_m| *path_m += 100.0);
-    let places = Places { scans: vec![3, 10], nodes: vec![node(&drive, 0), node(&drive, 7)] };
+    // Each with the three scans before and after it.
+    let places = Places::at(&drive, &poses, vec![3, 10], 1.0);
     let candidates = find_candidates(&drive, &places, &Detector::starting_values(), 30.0, None);
     assert!(candidates.len() <= 1);
     candidates.into_iter().next()

@@ -1,7 +1,7 @@
 //! Worlds of walls, the scans of a sensor in them, and drives.
 
 use dataset::{Pose2, RangeLimits, Scan, SplitMix64};
-use register::{Drive, Points};
+use register::Drive;
 
 pub use crate::walls::World;
 
@@ -73,20 +73,22 @@ impl World {
 }
 
 /// A drive whose odometry and scan matching are without error. Every scan is a keyframe.
-pub fn drive<'a>(scans: &'a [Scan], poses: &[Pose2]) -> Drive<'a> {
+pub fn drive(scans: &[Scan], poses: &[Pose2]) -> Drive {
     let limits = RangeLimits { min_m: 0.1, max_m: 25.0 };
     let mut path_m: Vec<f64> = Vec::new();
     for (k, pose) in poses.iter().enumerate() {
         path_m.push(if k == 0 { 0.0 } else { path_m[k - 1] + poses[k - 1].distance_m(pose) });
     }
-    Drive {
-        scans: scans.iter().collect(),
-        points: scans.iter().map(|scan| Points::from_scan(scan, limits)).collect(),
-        odometry: poses.to_vec(),
-        poses: poses.to_vec(),
-        path_m,
-        starts: vec![0],
-        is_keyframe: vec![true; scans.len()],
-        is_decided: vec![true; scans.len()],
-    }
+    let all = vec![true; scans.len()];
+    let odometry = poses.to_vec();
+    let mut drive = Drive::of_scans(
+        scans.iter().collect(),
+        odometry.clone(),
+        odometry,
+        all.clone(),
+        all,
+        limits,
+    );
+    drive.path_m = path_m;
+    drive
 }

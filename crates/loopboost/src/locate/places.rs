@@ -18,6 +18,7 @@ use crate::drives::RegisteredDrive;
 use crate::known_map::KnownMap;
 use crate::map_run::MapRun;
 use crate::other_run::OtherRun;
+use crate::scan_cache::ScanCache;
 use crate::stage::Stage;
 
 /// The places of a map, and how its logs were read.
@@ -68,25 +69,27 @@ impl Places {
         let detection: DetectSection = recorded(folder, Stage::Detect.name(), &detect["detect"])?;
         let options = Self::options(folder, &run, &logs)?;
         let (mut inputs, mut known) = (BTreeMap::new(), KnownMap::default());
+        let cache = Arc::new(ScanCache::default());
         for log in &logs {
-            known.add_log(&run, log)?;
+            known.add_log(&run, log, &cache)?;
             for artifact in KnownMap::OF_LOG {
                 let name = format!("map/{}", artifact.name(log));
                 inputs.insert(name, digest_file(&run.path(artifact, log))?);
             }
         }
-        let drives: Vec<Drive<'_>> = known.drives.iter().map(RegisteredDrive::drive).collect();
+        let drives: Vec<Drive> = known.drives.iter().map(RegisteredDrive::drive).collect();
         let of_map = drives.iter().zip(&known.poses).zip(&known.maps);
         let parts: Vec<MapDrive<'_>> =
             of_map.map(|((drive, poses), &map)| MapDrive { drive, poses, map }).collect();
-        let first = drives.iter().flat_map(|drive| &drive.scans).next();
-        let coverage_deg = first.map(|scan| scan.coverage_deg).ok_or_else(|| {
+        let coverage_deg = known.drives.iter().find_map(RegisteredDrive::coverage_deg);
+        let coverage_deg = coverage_deg.ok_or_else(|| {
             anyhow!(
                 "the map of {} has no scan with a pose; repeat the command that made the run",
                 folder.display()
             )
         })?;
         let map = LocatorMap::new(&parts, detection.place_step_m, detection.place_half_m);
+        cache.check()?;
         Ok(Self { map, options, register, coverage_deg, inputs })
     }
 

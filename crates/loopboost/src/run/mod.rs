@@ -24,6 +24,7 @@ use crate::findings::Findings;
 use crate::goal::Goal;
 use crate::logs::LogFile;
 use crate::other_run::OtherRun;
+use crate::scan_cache::ScanCache;
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 use crate::used_model::UsedModel;
@@ -56,6 +57,8 @@ pub(crate) struct Run {
     states: RefCell<BTreeMap<PathBuf, Option<FileState>>>,
     /// Tables that were made with this pipeline.
     fresh: RefCell<BTreeSet<PathBuf>>,
+    /// The scans that its stages read.
+    pub(crate) scan_cache: Arc<ScanCache>,
     /// The stage that is running, or the last one that did.
     stage: Cell<Option<Stage>>,
     /// In a dry run: files that would be made again.
@@ -129,6 +132,7 @@ impl Run {
             digests: RefCell::default(),
             states: RefCell::default(),
             fresh: RefCell::default(),
+            scan_cache: Arc::default(),
             stage: Cell::new(None),
             would_change: RefCell::default(),
             folder,
@@ -382,6 +386,7 @@ impl Run {
             self.check_fresh(input)?;
         }
         let done = work(provenance.clone())?;
+        self.scan_cache.check()?;
         self.record(name, task.stage, done, provenance)
     }
 

@@ -57,6 +57,7 @@ fn detect(run: &Run, provenance: &Provenance) -> Result<Done> {
     for site in SiteDrives::of_run(run)? {
         let site = site?;
         let found = finder.candidates(&site);
+        run.scan_cache.check()?;
         done.summaries.extend(found.summaries(&site));
         rows.extend(found.rows);
     }
@@ -87,7 +88,7 @@ impl Finder<'_> {
         let options = self.run.config.detection();
         let detector = self.run.detector();
         let mut found = Found { rows: Vec::new(), n_places: Vec::new() };
-        let (mut drives, mut places) = (Vec::new(), Vec::new());
+        let (mut drives, mut parts) = (Vec::new(), Vec::new());
         for (k, registered) in site.drives.iter().enumerate() {
             let drive = registered.drive();
             let known_poses = site.known_poses.get(k);
@@ -102,13 +103,13 @@ impl Finder<'_> {
             }
             found.n_places.push(of_drive.scans.len());
             if 1 < site.drives.len() {
+                parts.push(of_drive.into_part());
                 drives.push(drive);
-                places.push(of_drive);
             }
         }
         if 1 < drives.len() {
             let drive = Drive::joined(drives);
-            let places = Places::joined(places, &drive.starts);
+            let places = Places::joined(&drive, parts);
             let rows = site.rows();
             let candidates = self.with_classifier(&rows, |classify| {
                 find_candidates_between(&drive, &places, detector, site.n_known().max(1), classify)

@@ -1,4 +1,4 @@
-use std::collections::{BTreeSet, HashMap, HashSet};
+use std::collections::{BTreeSet, HashMap};
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, anyhow};
@@ -7,8 +7,8 @@ use dataset::tables::{
     write_trajectory,
 };
 use dataset::{
-    CandidateClosure, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan, Scan,
-    ScanClosure, ScanId, StampedPose, Subject, Trajectory,
+    CandidateClosure, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan, ScanClosure,
+    ScanId, StampedPose, Subject, Trajectory,
 };
 use model::{Detector, Model};
 use nalgebra::Matrix3;
@@ -16,12 +16,12 @@ use optimize::{
     Closure, JoinOutcome, Known, Proposal, Reason, Site, Solution, align_every_scan, close_loops,
     join_drives,
 };
-use register::{Drive, OdometryScan};
+use register::Drive;
 use train::detector::{alignment_covariance, closure_covariance};
 
 use crate::drives::{
     PosedScan, RegisteredDrive, by_id, closure_row, evidence, matrix, posed_scans_of,
-    registration_limits, scans_of, upper_triangle,
+    registration_limits, upper_triangle,
 };
 use crate::findings::Findings;
 use crate::georeference::{Far, Georeference, Georeferenced};
@@ -123,6 +123,7 @@ fn optimize(run: &Run, trained: Option<&Model>, provenance: &Provenance) -> Resu
         done.notes.extend(made.notes);
         done.summaries.extend(made.summaries);
     }
+    run.scan_cache.check()?;
     let (losses, notes) = (done.losses.clone(), done.notes.clone());
     let provenance = Provenance { losses, notes, ..provenance.clone() };
     done.outputs = write(run, &provenance, &maps, &trajectories)?;
@@ -150,10 +151,10 @@ fn solve<'a>(
     references: &SiteReferences,
     detector: &Detector,
     candidates: &[CandidateClosure],
-) -> (Site, Vec<Drive<'a>>, Georeferenced) {
+) -> (Site, Vec<Drive>, Georeferenced) {
     let options = &run.config.optimize.references;
     let georeference = Georeference { site, references, options, detector };
-    let drives: Vec<Drive<'a>> = site.drives.iter().map(RegisteredDrive::drive).collect();
+    let drives: Vec<Drive> = site.drives.iter().map(RegisteredDrive::drive).collect();
     let (near, far) = Far::split(candidates, site, &georeference.locate(&drives));
     let finder = Proposals { candidates: &near, found_with: run.detector(), detector };
     let min_path_m = run.config.detection().min_path_m;
@@ -203,7 +204,7 @@ fn every_scan(
     run: &Run,
     log: &LogFile,
     site: &SiteDrives,
-    drives: &[Drive<'_>],
+    drives: &[Drive],
     solved: &Site,
 ) -> Result<Trajectory> {
     let of_log = site.drives.iter().filter(|drive| drive.log() == Some(&log.name));
@@ -245,7 +246,7 @@ struct Proposals<'a> {
 
 impl Proposals<'_> {
     /// The candidates between drives. `rows` are those of all of them.
-    fn between(&self, rows: &[RegisteredScan], drive: &Drive<'_>) -> Vec<Proposal> {
+    fn between(&self, rows: &[RegisteredScan], drive: &Drive) -> Vec<Proposal> {
         let mut proposals = self.among(rows);
         proposals.retain(|p| drive.part_of(p.query) != drive.part_of(p.reference));
         proposals
@@ -369,27 +370,17 @@ fn join_notes(site: &SiteDrives, solved: &Site) -> Vec<Note> {
 fn aligned_poses(
     run: &Run,
     log: &LogFile,
-    (rows, drive): (&[RegisteredScan], &Drive<'_>),
+    (rows, drive): (&[RegisteredScan], &Drive),
     poses: &[Pose2],
     posed: &[PosedScan],
 ) -> Result<Vec<Pose2>> {
     let numbers: Vec<u32> = posed.iter().map(|scan| scan.scan).collect();
-    let scans: Vec<Scan> = scans_of(&run.scans(&log.name), &numbers)?;
-    let keyframes: HashSet<u32> =
-        rows.iter().filter(|row| row.is_keyframe).map(|row| row.id.scan).collect();
-    let input: Vec<OdometryScan<'_>> = posed
-        .iter()
-        .zip(&scans)
-        .map(|(posed, scan)| OdometryScan {
-            scan,
-            odometry: posed.odometry.pose,
-            is_keyframe: keyframes.contains(&posed.scan),
-        })
-        .collect();
+    let limits = registration_limits(&run.config, &log.name)?;
+    let scans = run.scan_cache.open(&run.scans(&log.name), &numbers, limits)?;
+    let odometry: Vec<Pose2> = posed.iter().map(|scan| scan.odometry.pose).collect();
     let in_input: Vec<usize> = positions(rows, posed)
         .with_context(|| format!("log `{}`: registered scans and poses do not match", log.name))?;
-    let limits = registration_limits(&run.config, &log.name)?;
-    Ok(align_every_scan(drive, poses, &in_input, &input, limits))
+    Ok(align_every_scan(drive, poses, &in_input, &scans, &odometry))
 }
 
 /// The index of each registered scan among all scans of its segment.

@@ -7,14 +7,17 @@ use dataset::tables::{Provenance, read_keyframes, write_odometry, write_register
 use dataset::{Note, NoteKind, Pose2, RangeLimits, RegisteredScan, ScanId, Subject};
 use model::OdometryNoise;
 use rayon::prelude::*;
-use register::{OdometryModel, OdometryScan, RegisterOptions, is_decided, register_drive};
+use register::{
+    OdometryModel, OdometryScan, RegisterOptions, is_decided, register_drive, scans_to_register,
+};
 
 use crate::drives::{
-    DEGENERATE_RATIO, PosedScan, posed_scans, registration_limits, scans_of, upper_triangle,
+    DEGENERATE_RATIO, PosedScan, posed_scans, registration_limits, upper_triangle,
 };
 use crate::findings::Findings;
 use crate::logs::LogFile;
 use crate::run::{Done, Run};
+use crate::scan_cache::ScanCache;
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 
@@ -35,9 +38,11 @@ fn register(run: &Run, provenance: &Provenance) -> Result<Done> {
     }
     // The scans of a drive are matched one after the other, so drives are registered in parallel.
     let options = &run.config.register;
-    let register = |segment: &Segment| segment.register(options, &keyframes);
+    let cache = &run.scan_cache;
+    let register = |segment: &Segment| segment.register(cache, options, &keyframes);
     let registered: Vec<RegisteredSegment> =
         segments.par_iter().map(register).collect::<Result<_>>()?;
+    cache.check()?;
     let breaks: Vec<(RegisteredScan, usize)> =
         registered.iter().flat_map(RegisteredSegment::breaks).collect();
     let mut registered = registered.into_iter().flat_map(|segment| segment.rows).peekable();
@@ -99,33 +104,32 @@ impl Segment {
 
     fn register(
         &self,
+        cache: &Arc<ScanCache>,
         options: &RegisterOptions,
         keyframes: &HashSet<ScanId>,
     ) -> Result<RegisteredSegment> {
         let id = |scan: u32| ScanId { log: self.log.clone(), scan };
-        let numbers: Vec<u32> = self.scans.iter().map(|scan| scan.scan).collect();
-        let scans = scans_of(&self.table, &numbers)?;
-        let input: Vec<OdometryScan<'_>> = self
-            .scans
-            .iter()
-            .zip(&scans)
-            .map(|(posed, scan)| OdometryScan {
-                scan,
-                odometry: posed.odometry.pose,
-                is_keyframe: keyframes.contains(&id(posed.scan)),
-            })
-            .collect();
-        let registered = register_drive(&input, self.limits, &self.noise, options);
+        let of_segment = self.scans.iter().map(|posed| OdometryScan {
+            odometry: posed.odometry.pose,
+            coverage_deg: posed.coverage_deg,
+            is_keyframe: keyframes.contains(&id(posed.scan)),
+        });
+        let of_segment: Vec<OdometryScan> = of_segment.collect();
+        let chosen = scans_to_register(&of_segment, options);
+        let numbers: Vec<u32> = chosen.iter().map(|&k| self.scans[k].scan).collect();
+        let odometry: Vec<Pose2> = chosen.iter().map(|&k| of_segment[k].odometry).collect();
+        let scans = cache.open(&self.table, &numbers, self.limits)?;
+        let registered = register_drive(&scans, &odometry, &self.noise, &options.matcher);
 
         let (mut travel_m, mut last) = (0.0, None);
-        let rows = registered.iter().map(|registered| {
-            let from = &input[registered.index];
+        let rows = registered.iter().zip(chosen).map(|(registered, chosen)| {
+            let (from, posed) = (&of_segment[chosen], &self.scans[chosen]);
             travel_m += last.map_or(0.0, |last| from.odometry.distance_m(&last));
             last = Some(from.odometry);
             let weakness = registered.weakness.map(|weakness| weakness.ratio);
             RegisteredScan {
-                id: id(numbers[registered.index]),
-                stamp_ns: from.scan.stamp_ns,
+                id: id(posed.scan),
+                stamp_ns: posed.odometry.stamp_ns,
                 pose: registered.pose,
                 covariance: registered.covariance.as_ref().map(upper_triangle),
                 odometry: from.odometry,
@@ -133,14 +137,14 @@ impl Segment {
                 weakness,
                 is_degenerate: weakness.is_some_and(|ratio| ratio < DEGENERATE_RATIO),
                 is_keyframe: from.is_keyframe,
-                segment: self.scans[registered.index].odometry.segment,
+                segment: posed.odometry.segment,
                 travel_m,
             }
         });
         let rows = rows.collect();
         let of_break = registered.iter().enumerate().filter(|(_, scan)| scan.is_break);
         // Also those that cannot be used.
-        let number = |k: usize| numbers[registered[k].index] as usize;
+        let number = |k: usize| numbers[k] as usize;
         let n_since = |k: usize| number(k).saturating_sub(number(k - 1) + 1);
         Ok(RegisteredSegment { rows, breaks: of_break.map(|(k, _)| (k, n_since(k))).collect() })
     }

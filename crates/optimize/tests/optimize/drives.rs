@@ -1,10 +1,14 @@
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 use dataset::{Pose2, RangeLimits, Scan, SplitMix64};
 use model::{Detector, Evidence};
 use nalgebra::Matrix3;
 use optimize::{Proposal, Reason, Solution, align_every_scan, close_loops};
-use register::{Drive, OdometryScan, RegisterOptions, Registered, register_drive};
+use register::{
+    Drive, HeldScans, OdometryScan, RegisterOptions, Registered, ScanSource, register_drive,
+    scans_to_register,
+};
 
 use crate::world::{World, lap};
 
@@ -32,27 +36,40 @@ impl Simulated {
         Self { truth, odometry, scans }
     }
 
-    /// All scans; every third one is a keyframe.
-    fn odometry_scans(&self) -> Vec<OdometryScan<'_>> {
-        let scans = self.scans.iter().zip(&self.odometry).enumerate();
-        scans
-            .map(|(k, (scan, &odometry))| OdometryScan { scan, odometry, is_keyframe: k % 3 == 0 })
-            .collect()
+    /// Some of the scans.
+    fn held(&self, at: impl Iterator<Item = usize>) -> HeldScans {
+        let limits = RegisterOptions::default().limits(LIMITS);
+        HeldScans::new(at.map(|k| self.scans[k].clone()), limits)
     }
 
-    /// The registered drive, and the index of each of its scans.
-    pub(crate) fn registered(&self) -> (Drive<'_>, Vec<usize>) {
-        let scans = self.odometry_scans();
+    /// The poses of all scans, aligned with the map. `at` are those of the registered drive.
+    fn every_scan(&self, registered: &Drive, poses: &[Pose2], at: &[usize]) -> Vec<Pose2> {
+        let scans = HeldScans::new(self.scans.iter().cloned(), LIMITS);
+        align_every_scan(registered, poses, at, &scans, &self.odometry)
+    }
+
+    /// The registered drive, and the index of each of its scans. Every third scan is a keyframe.
+    pub(crate) fn registered(&self) -> (Drive, Vec<usize>) {
+        let options = RegisterOptions::default();
+        let scans = self.scans.iter().zip(&self.odometry).enumerate();
+        let scans: Vec<OdometryScan> = scans
+            .map(|(k, (scan, &odometry))| OdometryScan {
+                odometry,
+                coverage_deg: scan.coverage_deg,
+                is_keyframe: k % 3 == 0,
+            })
+            .collect();
+        let at = scans_to_register(&scans, &options);
+        let odometry: Vec<Pose2> = at.iter().map(|&k| self.odometry[k]).collect();
+        let scans: Arc<dyn ScanSource> = Arc::new(self.held(at.iter().copied()));
         let noise = Detector::starting_values().odometry;
-        let registered = register_drive(&scans, LIMITS, &noise, &RegisterOptions::default());
-        let at: Vec<usize> = registered.iter().map(|scan| scan.index).collect();
+        let registered = register_drive(&*scans, &odometry, &noise, &options.matcher);
         let drive = Drive::new(
-            at.iter().map(|&k| &self.scans[k]).collect(),
-            at.iter().map(|&k| self.odometry[k]).collect(),
+            scans,
+            odometry,
             registered.iter().map(|scan| scan.pose).collect(),
             at.iter().map(|&k| k % 3 == 0).collect(),
             registered.iter().map(Registered::is_decided).collect(),
-            RegisterOptions::default().limits(LIMITS),
         );
         (drive, at)
     }
@@ -79,7 +96,7 @@ pub(crate) fn proposal(query: usize, reference: usize, reference_from_query: Pos
 }
 
 /// Right proposals between keyframes of the second and the first lap.
-fn right(drive: &Drive<'_>, at: &[usize], truth: &[Pose2]) -> Vec<Proposal> {
+fn right(drive: &Drive, at: &[usize], truth: &[Pose2]) -> Vec<Proposal> {
     let keyframes: Vec<usize> = (0..at.len()).filter(|&k| drive.is_keyframe[k]).collect();
     let mut proposals = Vec::new();
     for &query in keyframes.iter().step_by(4) {
@@ -96,7 +113,7 @@ fn right(drive: &Drive<'_>, at: &[usize], truth: &[Pose2]) -> Vec<Proposal> {
 }
 
 /// Wrong proposals: the robot at the opposite side of the building, as if it were the same place.
-fn wrong(drive: &Drive<'_>, at: &[usize], truth: &[Pose2]) -> Vec<Proposal> {
+fn wrong(drive: &Drive, at: &[usize], truth: &[Pose2]) -> Vec<Proposal> {
     let keyframes: Vec<usize> = (0..at.len()).filter(|&k| drive.is_keyframe[k]).collect();
     let mut proposals = Vec::new();
     for &query in keyframes.iter().step_by(3) {
@@ -158,9 +175,8 @@ fn a_second_lap_is_closed_and_wrong_proposals_are_rejected() {
     let worst = worst_m(&solution.poses, &drive.truth, &at);
     assert!(worst < 0.1, "{worst} m");
 
-    let scans = drive.odometry_scans();
-    let every = align_every_scan(&registered, &solution.poses, &at, &scans, LIMITS);
-    let all: Vec<usize> = (0..scans.len()).collect();
+    let every = drive.every_scan(&registered, &solution.poses, &at);
+    let all: Vec<usize> = (0..every.len()).collect();
     let worst = worst_m(&every, &drive.truth, &all);
     assert!(every.len() == drive.truth.len() && worst < 0.1, "{worst} m");
 }
@@ -264,8 +280,7 @@ fn the_number_of_threads_does_not_matter() {
             let proposals = right(&registered, &at, &drive.truth);
             let detector = Detector::starting_values();
             let solution = close_loops(&registered, &proposals, &detector, MIN_PATH_M);
-            let scans = drive.odometry_scans();
-            let every = align_every_scan(&registered, &solution.poses, &at, &scans, LIMITS);
+            let every = drive.every_scan(&registered, &solution.poses, &at);
             (solution.closures, solution.poses, solution.covariances, every)
         })
     };
@@ -282,7 +297,7 @@ fn a_drive_with_one_scan_or_none_has_no_closures() {
         let (mut registered, _) = drive.registered();
         if n == 0 {
             registered =
-                Drive::new(Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), LIMITS);
+                Drive::of_scans(Vec::new(), Vec::new(), Vec::new(), Vec::new(), Vec::new(), LIMITS);
         }
         let solution = close_loops(&registered, &[], &Detector::starting_values(), MIN_PATH_M);
         assert!(solution.closures.is_empty() && solution.poses.len() == n);

@@ -62,11 +62,11 @@ impl Made {
         Self { scans: vec![Scan::default(); truth.len()], truth, odometry, stamps_ns }
     }
 
-    fn drive(&self) -> Drive<'_> {
+    fn drive(&self) -> Drive {
         let (n, limits) = (self.scans.len(), RangeLimits { min_m: 0.5, max_m: 30.0 });
         let (odometry, poses) = (self.odometry.clone(), self.odometry.clone());
         let scans = self.scans.iter().collect();
-        Drive::new(scans, odometry, poses, vec![true; n], vec![true; n], limits)
+        Drive::of_scans(scans, odometry, poses, vec![true; n], vec![true; n], limits)
     }
 
     /// A fix every 2 s, with independent errors of `std_m` in each direction, of a point on the robot.
@@ -95,7 +95,7 @@ impl Made {
         place_by_references(&self.map(&drive), references, &Detector::starting_values())
     }
 
-    fn map<'a>(&'a self, drive: &'a Drive<'a>) -> ReferencedMap<'a> {
+    fn map<'a>(&'a self, drive: &'a Drive) -> ReferencedMap<'a> {
         let (stamps_ns, poses) = (&self.stamps_ns[..], &self.odometry[..]);
         ReferencedMap { drive, parts: &[0], first_new: 0, stamps_ns, poses, closures: &[] }
     }
