@@ -130,13 +130,9 @@ impl Solver {
     }
 
     /// Covariances of all poses relative to the fixed pose of their part, in the frame of the map.
-    pub(crate) fn covariances(
-        &mut self,
-        weights: &[f64],
-        poses: &[Pose2],
-    ) -> Option<Vec<Matrix3<f64>>> {
+    fn into_covariances(mut self, weights: &[f64], poses: &[Pose2]) -> Option<Vec<Matrix3<f64>>> {
         self.linearize(weights, poses);
-        Some(self.system.factor(0.0)?.inverse_diagonal())
+        self.system.into_inverse_diagonal()
     }
 }
 
@@ -177,5 +173,5 @@ pub fn optimize(edges: &[Edge], start: &[Pose2]) -> Vec<Pose2> {
 /// Covariances of x, y and heading of all poses, relative to the first pose of their part of the graph,
 /// in the frame of the map. `None` if the edges do not determine the poses.
 pub fn covariances(edges: &[Edge], poses: &[Pose2]) -> Option<Vec<Matrix3<f64>>> {
-    Solver::new(poses.len(), edges.to_vec()).covariances(&vec![1.0; edges.len()], poses)
+    Solver::new(poses.len(), edges.to_vec()).into_covariances(&vec![1.0; edges.len()], poses)
 }

@@ -1,6 +1,7 @@
 //! Joint alignment: the poses of many scans at once, so that all pairs of them fit.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 use dataset::{Pose2, wrap_angle};
 use model::OdometryNoise;
@@ -31,6 +32,9 @@ pub struct JointOptions {
     pub noise_m: f64,
     /// Number of points that count as one independent measurement.
     pub points_per_measurement: f64,
+    /// The most poses that are found at once. The factor of their equations needs about 10 kB per pose, so that of a
+    /// long drive does not fit into memory.
+    pub max_at_once: usize,
 }
 
 impl Default for JointOptions {
@@ -43,6 +47,7 @@ impl Default for JointOptions {
             last_scale_m: 0.04,
             noise_m: 0.03,
             points_per_measurement: 20.0,
+            max_at_once: 6000,
         }
     }
 }
@@ -75,15 +80,23 @@ const MIN_STEP_M: f64 = 0.05;
 /// Information that holds a pose \[1/m^2\].
 const ANCHOR: f64 = 1e9;
 /// Pairs whose scans are in memory at once.
-const PAIRS_AT_ONCE: usize = 8192;
+const PAIRS_AT_ONCE: usize = 4096;
 /// The most scans that are kept for the next iteration. Each needs about 0.1 MB.
 const MAX_KEPT: usize = 2048;
 /// Added to the diagonal, so that a pose without any information stays.
 const DAMPING: f64 = 1e-6;
 
-/// Aligns all scans at once: point to line, over the given pairs of scans in both directions, with the
+/// Aligns scans with each other: point to line, over the given pairs of scans in both directions, with the
 /// odometry between consecutive scans as prior. A scan without pairs, and with held neighbours or none,
 /// stays.
+///
+/// In a drive of more than `options.max_at_once` scans, each iteration has two steps. First, groups of consecutive scans
+/// move, each group rigidly. Then one stretch of the drive after the other moves while the rest stays. The first step
+/// finds what reaches far, the second one what is left (a two-grid method, Briggs, Henson and McCormick 2000, "A
+/// Multigrid Tutorial").
+///
+/// # Panics
+/// If no pose may be found at once.
 ///
 /// Lu and Milios 1997, "Globally consistent range scan alignment for environment mapping", with the
 /// point-to-line metric and a robust weight.
@@ -93,62 +106,179 @@ pub fn align_jointly(
     pairs: &[(usize, usize)],
     options: &JointOptions,
 ) -> Vec<Pose2> {
+    assert!(0 < options.max_at_once, "some poses are found");
     let n = poses.len();
     // In this order, consecutive pairs have scans in common.
     let mut pairs = pairs.to_vec();
     pairs.sort_by_key(|&(a, b)| a.max(b));
-    let kept = Kept::new(MAX_KEPT);
-    let steps = (1..n).map(|k| (k - 1, k));
-    let mut system = BlockSystem::new(n, pairs.iter().copied().chain(steps));
-    let mut poses = poses.to_vec();
+    let mut aligner = Aligner { scans, options, kept: Kept::new(MAX_KEPT), poses: poses.to_vec() };
+    let group = n.div_ceil(options.max_at_once).max(1);
+    let mut whole = Unknowns::new(0..n, group, pairs.clone());
     for iteration in 0..options.iterations {
-        let gates = Gates::of(iteration, options);
-        system.clear();
+        // Without a solution, the poses stay.
+        if aligner.step(&mut whole, iteration).is_none() || group == 1 {
+            continue;
+        }
+        for range in stretches(n, options.max_at_once, iteration) {
+            let takes_part = |&(a, b): &(usize, usize)| range.contains(&a) || range.contains(&b);
+            let of_stretch = pairs.iter().copied().filter(takes_part).collect();
+            let _ = aligner.step(&mut Unknowns::new(range, 1, of_stretch), iteration);
+        }
+    }
+    aligner.poses
+}
+
+/// Equal stretches of at most `most` of `n` scans. In odd iterations, they are shifted by half of a stretch.
+fn stretches(n: usize, most: usize, iteration: u32) -> Vec<Range<usize>> {
+    let n_stretches = n.div_ceil(most);
+    let border = |k: usize| k * n / n_stretches;
+    let mut borders: Vec<usize> = (0..=n_stretches).map(border).collect();
+    if iteration % 2 == 1 {
+        let middles = borders.windows(2).map(|of| (of[0] + of[1]) / 2);
+        borders = [0].into_iter().chain(middles).chain([n]).collect();
+    }
+    borders.windows(2).map(|of| of[0]..of[1]).collect()
+}
+
+/// Consecutive scans that move, and their equations.
+struct Unknowns {
+    range: Range<usize>,
+    /// Number of consecutive scans that move together.
+    group: usize,
+    /// Pairs of scans, of which at least one is in the range.
+    pairs: Vec<(usize, usize)>,
+    system: BlockSystem,
+}
+
+impl Unknowns {
+    fn new(range: Range<usize>, group: usize, pairs: Vec<(usize, usize)>) -> Self {
+        let n_groups = range.len().div_ceil(group);
+        let of_group = |scan: &usize| (scan - range.start) / group;
+        let within = pairs.iter().filter(|(a, b)| range.contains(a) && range.contains(b));
+        let steps = (1..n_groups).map(|k| (k - 1, k));
+        let mut both: Vec<(usize, usize)> =
+            within.map(|(a, b)| (of_group(a), of_group(b))).chain(steps).collect();
+        both.sort_unstable();
+        both.dedup();
+        let system = BlockSystem::new(n_groups, both.into_iter());
+        Self { range, group, pairs, system }
+    }
+
+    /// The unknown that moves a scan, and the derivative of its pose: a group turns about its first scan. `None`
+    /// for a scan that stays.
+    fn of_scan(&self, scan: usize, poses: &[Pose2]) -> Option<(usize, Matrix3<f64>)> {
+        if !self.range.contains(&scan) {
+            return None;
+        }
+        let unknown = (scan - self.range.start) / self.group;
+        let first = &poses[self.range.start + unknown * self.group];
+        let (x_m, y_m) = (poses[scan].x_m - first.x_m, poses[scan].y_m - first.y_m);
+        Some((unknown, Matrix3::new(1.0, 0.0, -y_m, 0.0, 1.0, x_m, 0.0, 0.0, 1.0)))
+    }
+
+    /// Adds the cost of the pose of scan b in the frame of scan a.
+    fn add(&mut self, term: &Term, a: usize, b: usize, poses: &[Pose2]) {
+        let [da, db] = relative_derivatives(&poses[a], &poses[b]);
+        let a = self.of_scan(a, poses).map(|(unknown, moved)| (unknown, da * moved));
+        let b = self.of_scan(b, poses).map(|(unknown, moved)| (unknown, db * moved));
+        match (a, b) {
+            (Some((a, da)), Some((b, db))) if a == b => self.add_one(term, a, &(da + db)),
+            (Some((a, da)), Some((b, db))) => {
+                self.add_one(term, a, &da);
+                self.add_one(term, b, &db);
+                self.system.add(a, b, &(da.transpose() * term.information * db));
+            }
+            (Some((a, da)), None) => self.add_one(term, a, &da),
+            (None, Some((b, db))) => self.add_one(term, b, &db),
+            (None, None) => {}
+        }
+    }
+
+    fn add_one(&mut self, term: &Term, unknown: usize, derivative: &Matrix3<f64>) {
+        let to_unknown = derivative.transpose();
+        self.system.add(unknown, unknown, &(to_unknown * term.information * derivative));
+        self.system.add_right(unknown, &-(to_unknown * term.gradient));
+    }
+
+    /// Holds a scan where it is.
+    fn hold(&mut self, scan: usize, information: f64, poses: &[Pose2]) {
+        if let Some((unknown, moved)) = self.of_scan(scan, poses) {
+            self.system.add(unknown, unknown, &(moved.transpose() * moved * information));
+        }
+    }
+}
+
+struct Aligner<'a> {
+    scans: &'a JointScans<'a>,
+    options: &'a JointOptions,
+    kept: Kept<Prepared>,
+    poses: Vec<Pose2>,
+}
+
+impl Aligner<'_> {
+    /// Moves the scans of a range. `None` if that has no solution.
+    fn step(&mut self, unknowns: &mut Unknowns, iteration: u32) -> Option<()> {
+        unknowns.system.clear();
+        self.add_pairs(unknowns, &Gates::of(iteration, self.options));
+        let (scans, poses) = (self.scans, &mut self.poses);
+        let Range { start, end } = unknowns.range;
+        for k in start.max(1)..(end + 1).min(poses.len()) {
+            if let Some(noise) = &scans.noise[k] {
+                let term = odometry_term(scans, k, noise, poses);
+                unknowns.add(&term, k - 1, k, poses);
+            }
+        }
+        for k in start..end {
+            unknowns.hold(k, if scans.is_held[k] { ANCHOR } else { DAMPING }, poses);
+        }
+        let step = unknowns.system.solve_in_place(0.0)?;
+        let most = if iteration == 0 { MAX_FIRST_STEP } else { f64::INFINITY };
+        let moves: Vec<Vector3<f64>> = (start..end)
+            .map(|k| {
+                let of_scan = unknowns.of_scan(k, poses);
+                of_scan.map_or(Vector3::zeros(), |(unknown, moved)| moved * step[unknown])
+            })
+            .collect();
+        for (k, step) in (start..end).zip(moves).filter(|(k, _)| !scans.is_held[*k]) {
+            let step = step.map(|v| v.clamp(-most, most));
+            let pose = &mut poses[k];
+            pose.x_m += step[0];
+            pose.y_m += step[1];
+            pose.heading_rad = wrap_angle(pose.heading_rad + step[2]);
+        }
+        Some(())
+    }
+
+    /// Adds the costs of the pairs of scans.
+    fn add_pairs(&self, unknowns: &mut Unknowns, gates: &Gates) {
+        let poses = &self.poses;
+        let pairs = std::mem::take(&mut unknowns.pairs);
         for pairs in pairs.chunks(PAIRS_AT_ONCE) {
             let wanted: BTreeSet<usize> = pairs.iter().flat_map(|&(a, b)| [a, b]).collect();
-            let scans = kept.get(&wanted, |k| Prepared::new(scans.source, k, options));
+            let make = |k: usize| Prepared::new(self.scans.source, k, self.options);
+            let scans = self.kept.get(&wanted, make);
             let terms: Vec<[Option<Term>; 2]> = pairs
                 .par_iter()
                 .map(|&(a, b)| {
                     let term = |a: usize, b: usize| {
                         let target = scans[&a].target.as_ref()?;
                         let a_from_b = poses[a].inverse() * poses[b];
-                        Some(pair_term(&scans[&b].source, target, &a_from_b, &gates))
+                        Some(pair_term(&scans[&b].source, target, &a_from_b, gates))
                     };
                     [term(a, b), term(b, a)]
                 })
                 .collect();
             for (&(a, b), [forward, backward]) in pairs.iter().zip(&terms) {
                 if let Some(term) = forward {
-                    term.add_to(&mut system, a, b, &poses);
+                    unknowns.add(term, a, b, poses);
                 }
                 if let Some(term) = backward {
-                    term.add_to(&mut system, b, a, &poses);
+                    unknowns.add(term, b, a, poses);
                 }
             }
         }
-        for k in 1..n {
-            if let Some(noise) = &scans.noise[k] {
-                odometry_term(scans, k, noise, &poses).add_to(&mut system, k - 1, k, &poses);
-            }
-        }
-        for k in 0..n {
-            let hold = if scans.is_held[k] { ANCHOR } else { DAMPING };
-            system.add(k, k, &Matrix3::from_diagonal_element(hold));
-        }
-        let Some(step) = system.solve(0.0) else { break };
-        for (k, (pose, step)) in poses.iter_mut().zip(step).enumerate() {
-            if scans.is_held[k] {
-                continue;
-            }
-            let most = if iteration == 0 { MAX_FIRST_STEP } else { f64::INFINITY };
-            let step = step.map(|v| v.clamp(-most, most));
-            pose.x_m += step[0];
-            pose.y_m += step[1];
-            pose.heading_rad = wrap_angle(pose.heading_rad + step[2]);
-        }
+        unknowns.pairs = pairs;
     }
-    poses
 }
 
 /// A scan that takes part in pairs.
@@ -231,19 +361,6 @@ struct Term {
     gradient: Vector3<f64>,
 }
 
-impl Term {
-    /// Adds the cost of the pose of b in the frame of a, as one of both poses in the map.
-    fn add_to(&self, system: &mut BlockSystem, a: usize, b: usize, poses: &[Pose2]) {
-        let [da, db] = relative_derivatives(&poses[a], &poses[b]);
-        let (to_a, to_b) = (da.transpose() * self.information, db.transpose() * self.information);
-        system.add(a, a, &(to_a * da));
-        system.add(b, b, &(to_b * db));
-        system.add(a, b, &(to_a * db));
-        system.add_right(a, &-(da.transpose() * self.gradient));
-        system.add_right(b, &-(db.transpose() * self.gradient));
-    }
-}
-
 /// Derivatives of the pose of b in the frame of a, with respect to x, y and heading of a and of b in
 /// the map.
 pub fn relative_derivatives(a: &Pose2, b: &Pose2) -> [Matrix3<f64>; 2] {
@@ -321,4 +438,15 @@ fn odometry_term(scans: &JointScans<'_>, k: usize, noise: &OdometryNoise, poses:
         wrap_angle(step.heading_rad - measured.heading_rad),
     );
     Term { information: Matrix3::from_diagonal(&weights), gradient: weights.component_mul(&error) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stretches_cover_all_scans_and_overlap_from_one_iteration_to_the_next() {
+        assert_eq!(stretches(10, 4, 0), [0..3, 3..6, 6..10]);
+        assert_eq!(stretches(10, 4, 1), [0..1, 1..4, 4..8, 8..10]);
+    }
 }

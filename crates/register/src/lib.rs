@@ -79,7 +79,7 @@ pub use node::{Fit, Node, NodeMember, fit, fit_options, places};
 pub use odometry::{OdometryModel, OdometryStep};
 pub use points::Points;
 pub use source::{DriveScan, HeldScans, ScanSource, points_of};
-pub use sparse::{BlockSystem, Factor};
+pub use sparse::BlockSystem;
 pub use submap::{Member, Square, Submap, SubmapOptions};
 pub use target::Target;
 pub use uncertainty::closure_covariance;

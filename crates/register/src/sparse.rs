@@ -18,8 +18,8 @@ pub struct BlockSystem {
     /// The blocks of column `k` of the factor are `starts[k]..starts[k + 1]`.
     starts: Vec<usize>,
     /// The row of each block. Ascending within a column, the diagonal first.
-    rows: Vec<usize>,
-    /// A, with zeros where only the factor has a block.
+    rows: Vec<u32>,
+    /// A, with zeros where only the factor has a block. After a solution in place, its factor L, with `A = L L^T`.
     blocks: Vec<Matrix3<f64>>,
     /// b, in the order of elimination.
     right: Vec<Vector3<f64>>,
@@ -33,9 +33,9 @@ impl BlockSystem {
         let mut starts = vec![0];
         let mut rows = Vec::new();
         for (k, column) in columns.iter().enumerate() {
-            rows.push(k);
+            rows.push(k as u32);
             let first = rows.len();
-            rows.extend(column.iter().map(|&pose| place[pose]));
+            rows.extend(column.iter().map(|&pose| place[pose as usize] as u32));
             rows[first..].sort_unstable();
             starts.push(rows.len());
         }
@@ -66,7 +66,7 @@ impl BlockSystem {
 
     fn position(&self, row: usize, column: usize) -> usize {
         let first = self.starts[column];
-        match self.rows[first..self.starts[column + 1]].binary_search(&row) {
+        match self.rows[first..self.starts[column + 1]].binary_search(&(row as u32)) {
             Ok(k) => first + k,
             Err(_) => panic!("the block is not part of the structure"),
         }
@@ -77,113 +77,107 @@ impl BlockSystem {
         self.right[self.place[pose]] += part;
     }
 
-    /// Factors A plus `damping` times its diagonal. `None` if that is not positive definite.
-    pub fn factor(&self, damping: f64) -> Option<Factor<'_>> {
-        let mut blocks = self.blocks.clone();
+    /// Puts the factor of A plus `damping` times its diagonal in the place of A. `None` if that is not positive
+    /// definite.
+    fn factor(&mut self, damping: f64) -> Option<()> {
         for k in 0..self.right.len() {
             for d in 0..3 {
-                blocks[self.starts[k]][(d, d)] *= 1.0 + damping;
+                self.blocks[self.starts[k]][(d, d)] *= 1.0 + damping;
             }
         }
         for k in 0..self.right.len() {
             let entries = self.starts[k]..self.starts[k + 1];
-            let diagonal = cholesky(&blocks[entries.start])?;
+            let diagonal = cholesky(&self.blocks[entries.start])?;
             let inverse = lower_inverse(&diagonal);
-            blocks[entries.start] = diagonal;
-            for block in &mut blocks[entries.start + 1..entries.end] {
+            self.blocks[entries.start] = diagonal;
+            for block in &mut self.blocks[entries.start + 1..entries.end] {
                 *block *= inverse.transpose();
             }
             for first in entries.start + 1..entries.end {
-                self.subtract_products(&mut blocks, first, entries.end);
+                self.subtract_products(first, entries.end);
             }
         }
-        Some(Factor { system: self, blocks })
+        Some(())
     }
 
     /// Subtracts the products of the block `first` of a column with the blocks from `first` to `end`
     /// of that column from the column of the row of `first`.
-    fn subtract_products(&self, blocks: &mut [Matrix3<f64>], first: usize, end: usize) {
-        let transposed = blocks[first].transpose();
-        let mut target = self.starts[self.rows[first]];
+    fn subtract_products(&mut self, first: usize, end: usize) {
+        let transposed = self.blocks[first].transpose();
+        let mut target = self.starts[self.rows[first] as usize];
         for entry in first..end {
             // The rows of a column are also rows of the columns of these rows.
             while self.rows[target] != self.rows[entry] {
                 target += 1;
             }
-            let product = blocks[entry] * transposed;
-            blocks[target] -= product;
+            let product = self.blocks[entry] * transposed;
+            self.blocks[target] -= product;
         }
     }
 
-    /// Solves the system after adding `damping` times the diagonal of A. `None` if that is not positive
-    /// definite.
+    /// The solution x after adding `damping` times the diagonal of A, one vector per pose. `None` if that is not
+    /// positive definite.
     pub fn solve(&self, damping: f64) -> Option<Vec<Vector3<f64>>> {
-        self.factor(damping).map(|factor| factor.solve())
+        self.clone().solve_in_place(damping)
     }
-}
 
-/// The Cholesky factor of a [`BlockSystem`].
-pub struct Factor<'a> {
-    system: &'a BlockSystem,
-    blocks: Vec<Matrix3<f64>>,
-}
-
-impl Factor<'_> {
-    /// The solution x of the system, one vector per pose.
-    fn solve(&self) -> Vec<Vector3<f64>> {
-        let system = self.system;
-        let mut x = system.right.clone();
+    /// The same without a copy of A, which is lost. Call [`BlockSystem::clear`] before adding to it again.
+    pub fn solve_in_place(&mut self, damping: f64) -> Option<Vec<Vector3<f64>>> {
+        self.factor(damping)?;
+        let mut x = self.right.clone();
         for k in 0..x.len() {
-            let entries = system.starts[k]..system.starts[k + 1];
+            let entries = self.starts[k]..self.starts[k + 1];
             x[k] = lower_inverse(&self.blocks[entries.start]) * x[k];
             for entry in entries.start + 1..entries.end {
                 let part = self.blocks[entry] * x[k];
-                x[system.rows[entry]] -= part;
+                x[self.rows[entry] as usize] -= part;
             }
         }
         for k in (0..x.len()).rev() {
-            let entries = system.starts[k]..system.starts[k + 1];
+            let entries = self.starts[k]..self.starts[k + 1];
             let mut sum = x[k];
             for entry in entries.start + 1..entries.end {
-                sum -= self.blocks[entry].transpose() * x[system.rows[entry]];
+                sum -= self.blocks[entry].transpose() * x[self.rows[entry] as usize];
             }
             x[k] = lower_inverse(&self.blocks[entries.start]).transpose() * sum;
         }
-        system.place.iter().map(|&k| x[k]).collect()
+        Some(self.place.iter().map(|&k| x[k]).collect())
     }
 
     /// The blocks on the diagonal of the inverse of A, one per pose: the covariances if A is the
-    /// information of the poses.
+    /// information of the poses. `None` if A is not positive definite.
     ///
     /// Only the blocks of the inverse in the structure of the factor are computed (Takahashi, Fagan and
     /// Chen 1973, "Formation of a sparse bus impedance matrix and its application to short circuit
-    /// study").
-    pub fn inverse_diagonal(&self) -> Vec<Matrix3<f64>> {
-        let system = self.system;
-        let mut inverse = vec![Matrix3::zeros(); self.blocks.len()];
-        for k in (0..system.right.len()).rev() {
-            let entries = system.starts[k]..system.starts[k + 1];
+    /// study"), column by column from the last one, each in the place of the factor.
+    pub fn into_inverse_diagonal(mut self) -> Option<Vec<Matrix3<f64>>> {
+        self.factor(0.0)?;
+        let mut column = Vec::new();
+        for k in (0..self.right.len()).rev() {
+            let entries = self.starts[k]..self.starts[k + 1];
             let below = entries.start + 1..entries.end;
             let of_diagonal = lower_inverse(&self.blocks[entries.start]);
             let scaled: Vec<Matrix3<f64>> =
                 below.clone().map(|entry| self.blocks[entry] * of_diagonal).collect();
             let mut diagonal = of_diagonal.transpose() * of_diagonal;
-            for i in below.clone() {
+            column.clear();
+            for (i, of_row) in below.clone().zip(&scaled) {
                 let mut sum = Matrix3::zeros();
                 for (j, factor) in below.clone().zip(&scaled) {
-                    let (row, column) = (system.rows[i], system.rows[j]);
+                    let (row, column) = (self.rows[i] as usize, self.rows[j] as usize);
                     sum -= if column <= row {
-                        inverse[system.position(row, column)] * factor
+                        self.blocks[self.position(row, column)] * factor
                     } else {
-                        inverse[system.position(column, row)].transpose() * factor
+                        self.blocks[self.position(column, row)].transpose() * factor
                     };
                 }
-                inverse[i] = sum;
-                diagonal -= scaled[i - below.start].transpose() * sum;
+                diagonal -= of_row.transpose() * sum;
+                column.push(sum);
             }
-            inverse[entries.start] = (diagonal + diagonal.transpose()) * 0.5;
+            self.blocks[below].copy_from_slice(&column);
+            self.blocks[entries.start] = (diagonal + diagonal.transpose()) * 0.5;
         }
-        system.place.iter().map(|&k| inverse[system.starts[k]]).collect()
+        Some(self.place.iter().map(|&k| self.blocks[self.starts[k]]).collect())
     }
 }
 
@@ -192,11 +186,11 @@ impl Factor<'_> {
 fn eliminate(
     n_poses: usize,
     pairs: impl Iterator<Item = (usize, usize)>,
-) -> (Vec<usize>, Vec<Vec<usize>>) {
-    let mut neighbours: Vec<Vec<usize>> = vec![Vec::new(); n_poses];
+) -> (Vec<usize>, Vec<Vec<u32>>) {
+    let mut neighbours: Vec<Vec<u32>> = vec![Vec::new(); n_poses];
     for (a, b) in pairs.filter(|(a, b)| a != b) {
-        neighbours[a].push(b);
-        neighbours[b].push(a);
+        neighbours[a].push(b as u32);
+        neighbours[b].push(a as u32);
     }
     for list in &mut neighbours {
         list.sort_unstable();
@@ -209,9 +203,10 @@ fn eliminate(
     while let Some((_, pose)) = queue.pop_first() {
         place[pose] = columns.len();
         let column = std::mem::take(&mut neighbours[pose]);
-        for &other in &column {
+        for &number in &column {
+            let other = number as usize;
             queue.remove(&(neighbours[other].len(), other));
-            neighbours[other] = joined(&neighbours[other], &column, [other, pose]);
+            neighbours[other] = joined(&neighbours[other], &column, [number, pose as u32]);
             queue.insert((neighbours[other].len(), other));
         }
         columns.push(column);
@@ -220,7 +215,7 @@ fn eliminate(
 }
 
 /// The union of two ascending lists without two of the numbers.
-fn joined(a: &[usize], b: &[usize], without: [usize; 2]) -> Vec<usize> {
+fn joined(a: &[u32], b: &[u32], without: [u32; 2]) -> Vec<u32> {
     let mut all = Vec::with_capacity(a.len() + b.len());
     let (mut i, mut j) = (0, 0);
     while i < a.len() || j < b.len() {
@@ -320,16 +315,17 @@ mod tests {
             }
             let inverse = dense.clone().try_inverse().unwrap();
             let expected = &inverse * right;
-            let factor = system.factor(0.0).unwrap();
-            for (pose, x) in factor.solve().iter().enumerate() {
+            for (pose, x) in system.solve(0.0).unwrap().iter().enumerate() {
                 assert!((x - expected.fixed_rows::<3>(3 * pose)).norm() < 1e-9, "{n} {pose}");
             }
-            for (pose, block) in factor.inverse_diagonal().iter().enumerate() {
+            let blocks = system.clone().into_inverse_diagonal().unwrap();
+            for (pose, block) in blocks.iter().enumerate() {
                 let expected = inverse.fixed_view::<3, 3>(3 * pose, 3 * pose);
                 assert!((block - expected).norm() < 1e-9, "{n} {pose} {block} {expected}");
             }
             system.add(0, 0, &Matrix3::from_diagonal_element(-1e6));
-            assert!(system.factor(0.0).is_none(), "not positive definite");
+            assert!(system.solve(0.0).is_none(), "not positive definite");
+            assert!(system.into_inverse_diagonal().is_none(), "not positive definite");
         }
     }
 

@@ -1,5 +1,6 @@
 //! Scan matching and submaps in worlds with a known answer.
 
+mod joint;
 mod matching;
 mod odometry;
 mod submaps;
