@@ -39,12 +39,14 @@
 //! # Ok::<(), label::LabelError>(())
 //! ```
 
+mod candidates;
 mod copies;
 mod draw;
 mod folds;
 mod options;
 mod rules;
 mod spread;
+mod tree;
 mod uncertainty;
 
 use dataset::{Keyframe, Label, Note, NoteKind, OutOfRange, Pair, Squares};
@@ -55,9 +57,10 @@ pub use options::Options;
 pub use rules::{Candidates, Rules};
 pub use uncertainty::{ALIGNMENT_STD_M, Measurement, PoseGraph, Vertex};
 
-use draw::{Draw, keyframe_hash, pair_key};
-use rules::{Heights, Kind, Tally, travel_gap_m};
-use spread::Candidate;
+use candidates::Ranked;
+use rules::{Heights, travel_gap_m};
+use spread::Class;
+use tree::{Square, Tree};
 
 /// Labelled pairs, and how they were selected.
 #[derive(Debug, Clone, PartialEq)]
@@ -168,41 +171,33 @@ fn draw(
     seed: u64,
     keyframes: &[Keyframe],
 ) -> Result<Labelled, LabelError> {
-    let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
-    let wanted = options.pairs_per_class;
-    let start = || (Tally::default(), Draw::new(wanted), Draw::new(wanted));
-
-    let (tally, positive, negative) = (0..keyframes.len())
-        .into_par_iter()
-        .fold(start, |(mut tally, mut positive, mut negative), query| {
-            for reference in 0..query {
-                let key = || (pair_key(hashes[query], hashes[reference]), query, reference);
-                let kind = rules.kind(query, reference);
-                tally.add(rules, &kind, query, reference);
-                match kind {
-                    Kind::Labelled(Label::Positive) => positive.offer(key()),
-                    Kind::Labelled(Label::Negative) => negative.offer(key()),
-                    _ => {}
-                }
-            }
-            (tally, positive, negative)
-        })
-        .reduce(start, |a, b| (a.0.plus(b.0), a.1.union(b.1), a.2.union(b.2)));
-
-    let candidates = tally.candidates;
-    check_enough(options, keyframes, candidates)?;
+    let sites = tree::numbers(keyframes.iter().map(|keyframe| &*keyframe.site));
     let (width_m, layer_m) = (options.place_m, options.max_height_difference_m);
     let squares = Squares::new(keyframes, rules.frames(), width_m, layer_m);
-    let of_all = Candidate { rules, hashes: &hashes, squares: &squares };
-    let mut pairs: Vec<Pair> = Vec::with_capacity(2 * wanted);
+    // The uncertainty of a distance can be of any size.
+    let reach_m = if rules.is_exact() { options.negative_min_m } else { f64::INFINITY };
+    let tree = Tree::new(keyframes, &squares, (rules.frames(), &sites), width_m, reach_m);
+    let ranked = Ranked::new(rules, &tree, &sites);
+    let candidates = ranked.tally.candidates;
+    check_enough(options, keyframes, candidates)?;
+    let mut pairs: Vec<Pair> = Vec::with_capacity(2 * options.pairs_per_class);
     let mut notes = Vec::new();
-    for (label, drawn) in [(Label::Positive, positive), (Label::Negative, negative)] {
-        let spread = spread::limit(&of_all, options, keyframes, label, drawn.into_pairs());
-        pairs.extend(spread.pairs.into_iter().map(|ends| pair(rules, keyframes, label, ends)));
+    for label in [Label::Positive, Label::Negative] {
+        let first =
+            |square: &Square| &keyframes[tree.keyframes[square.root.range().start] as usize];
+        let class = Class {
+            label,
+            firsts: ranked.of_squares(label),
+            keyframes: tree.squares.iter().map(first).collect(),
+        };
+        let spread = class.draw(options, seed);
+        let drawn = spread.ranks.into_par_iter();
+        let drawn = drawn.filter_map(|rank| ranked.candidate(label, rank));
+        pairs.par_extend(drawn.map(|ends| pair(rules, keyframes, label, ends)));
         notes.extend(spread.note);
     }
     pairs.sort_by_key(|pair| (pair.query, pair.reference));
-    notes.extend(height_note(options, candidates, tally.heights));
+    notes.extend(height_note(options, candidates, ranked.tally.heights));
     notes.extend(frame_note(candidates));
     notes.extend(copies::notes(keyframes));
     Ok(Labelled { pairs, candidates, notes })

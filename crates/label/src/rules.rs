@@ -107,6 +107,15 @@ impl<'a> Rules<'a> {
         self.frames[query] == self.frames[reference]
     }
 
+    pub(crate) fn options(&self) -> &'a Options {
+        self.options
+    }
+
+    /// Whether all distances count as exact.
+    pub(crate) fn is_exact(&self) -> bool {
+        self.undecided.is_empty()
+    }
+
     /// The frame of each keyframe, `(n_keyframes,)`.
     pub(crate) fn frames(&self) -> &[u32] {
         &self.frames

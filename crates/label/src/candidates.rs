@@ -1,0 +1,395 @@
+//! The candidates of both classes: how many each keyframe has, and which one has a given rank.
+//!
+//! A pair belongs to the later of its two keyframes in the candidate order (see [`Tree`]). Candidates are
+//! sorted by their later keyframe, then by the other one. The rank of a candidate is its place in this
+//! order, from 0.
+//!
+//! Few pairs are looked at. Of two boxes of the tree, all pairs are
+//!
+//! - negative, if the boxes are more than `negative_min_m` apart: they are not visited. The negatives of a
+//!   keyframe are all keyframes before it, less those that are not negative;
+//! - ambiguous, if the boxes are more than `positive_radius_m` apart and no two points of them are more than
+//!   `negative_min_m` apart: they are counted at once;
+//! - otherwise to be looked at: the boxes are halved, and in the end the rules decide on each pair.
+//!
+//! If the poses rest on measurements, the uncertainty of any distance can be too large for a label. All pairs
+//! that are not ambiguous by distance are then looked at.
+
+use dataset::Label;
+use rayon::prelude::*;
+
+use crate::rules::{Kind, Rules, Tally};
+use crate::tree::{Node, Square, Tree};
+
+/// The candidates of both classes.
+pub(crate) struct Ranked<'a> {
+    rules: &'a Rules<'a>,
+    tree: &'a Tree,
+    /// The number of the site of each keyframe, `(n_keyframes,)`.
+    sites: &'a [u32],
+    limits: Limits,
+    /// The rank of the first candidate of each place of the order, and the number of candidates,
+    /// `(n_keyframes + 1,)`.
+    positive: Vec<u64>,
+    negative: Vec<u64>,
+    pub(crate) tally: Tally,
+}
+
+/// The largest squares of distances that are within a radius.
+#[derive(Clone, Copy)]
+struct Limits {
+    positive_m2: f64,
+    negative_m2: f64,
+}
+
+/// The pairs between two boxes.
+enum Between {
+    AllNegative,
+    AllAmbiguous,
+    Any,
+}
+
+/// Number of keyframes that are counted as one task.
+const TASK: usize = 512;
+
+/// What is counted for the keyframes of a task.
+struct Counted {
+    start: usize,
+    /// Positive pairs, and pairs of one frame that are not negative, `(n,)`.
+    positive: Vec<u32>,
+    not_negative: Vec<u32>,
+    tally: Tally,
+}
+
+impl<'a> Ranked<'a> {
+    /// Counts the candidates. `sites` are the numbers of the sites of the keyframes.
+    pub(crate) fn new(rules: &'a Rules<'a>, tree: &'a Tree, sites: &'a [u32]) -> Self {
+        let options = rules.options();
+        let limits = Limits {
+            positive_m2: largest_square(options.positive_radius_m),
+            negative_m2: largest_square(options.negative_min_m),
+        };
+        let (positive, negative) = (vec![0], vec![0]);
+        let tally = Tally::default();
+        let mut ranked = Self { rules, tree, sites, limits, positive, negative, tally };
+        let tasks: Vec<(usize, Node)> = (0..tree.squares.len())
+            .flat_map(|square| tree.parts(square, TASK).into_iter().map(move |part| (square, part)))
+            .collect();
+        let counted: Vec<Counted> =
+            tasks.par_iter().map(|(square, part)| ranked.count(*square, part)).collect();
+        ranked.add_up(counted);
+        ranked
+    }
+
+    /// Counts the pairs of the keyframes of a part of a square.
+    fn count(&self, square: usize, part: &Node) -> Counted {
+        let mut counted = Counted {
+            start: part.range().start,
+            positive: vec![0; part.len()],
+            not_negative: vec![0; part.len()],
+            tally: Tally::default(),
+        };
+        for other in self.tree.near(square) {
+            self.visit(part, &other.root, &mut counted);
+        }
+        counted
+    }
+
+    /// Counts the pairs of the keyframes of `a` with keyframes of `b` that are before them.
+    fn visit(&self, a: &Node, b: &Node, counted: &mut Counted) {
+        let (of_a, of_b) = (a.range(), b.range());
+        if of_a.end <= of_b.start {
+            return;
+        }
+        match self.between(a, b) {
+            Between::AllNegative => return,
+            Between::AllAmbiguous if of_b.end <= of_a.start => {
+                let places = of_a.start - counted.start..of_a.end - counted.start;
+                for n in &mut counted.not_negative[places] {
+                    *n += b.len() as u32;
+                }
+                counted.tally.candidates.ambiguous += a.len() as u64 * b.len() as u64;
+                return;
+            }
+            Between::AllAmbiguous | Between::Any => {}
+        }
+        match (self.tree.halves(a), self.tree.halves(b)) {
+            (Some(halves), other) if other.is_none() || b.len() <= a.len() => {
+                halves.into_iter().for_each(|half| self.visit(half, b, counted));
+            }
+            (_, Some(halves)) => {
+                halves.into_iter().for_each(|half| self.visit(a, half, counted));
+            }
+            _ => self.look(a, b, counted),
+        }
+    }
+
+    /// Looks at each pair of two leaves.
+    fn look(&self, a: &Node, b: &Node, counted: &mut Counted) {
+        for place in a.range() {
+            let before = b.range().start..b.range().end.min(place);
+            let k = place - counted.start;
+            if !self.rules.is_exact() {
+                before.for_each(|other| self.look_at(place, other, counted, k));
+                continue;
+            }
+            let [n_close, n_near] = self.within(place, before.clone());
+            counted.not_negative[k] += n_near - n_close;
+            counted.tally.candidates.ambiguous += u64::from(n_near - n_close);
+            if n_close == 0 {
+                continue;
+            }
+            for other in before {
+                if self.squared_distance(place, other) <= self.limits.positive_m2 {
+                    self.look_at(place, other, counted, k);
+                }
+            }
+        }
+    }
+
+    fn look_at(&self, place: usize, other: usize, counted: &mut Counted, k: usize) {
+        let (query, reference) = self.ends(place, other);
+        let kind = self.rules.kind(query, reference);
+        if let Kind::Labelled(Label::Negative) = kind {
+            return;
+        }
+        counted.tally.add(self.rules, &kind, query, reference);
+        counted.positive[k] += u32::from(matches!(kind, Kind::Labelled(Label::Positive)));
+        counted.not_negative[k] += 1;
+    }
+
+    /// How many keyframes are within the positive radius and within the negative one.
+    #[inline]
+    fn within(&self, place: usize, others: std::ops::Range<usize>) -> [u32; 2] {
+        let Tree { xs_m, ys_m, .. } = self.tree;
+        let (x_m, y_m, mut n_close, mut n_near) = (xs_m[place], ys_m[place], 0, 0);
+        for (other_x_m, other_y_m) in xs_m[others.clone()].iter().zip(&ys_m[others]) {
+            let (dx, dy) = (x_m - other_x_m, y_m - other_y_m);
+            let squared_m2 = dx * dx + dy * dy;
+            n_close += u32::from(squared_m2 <= self.limits.positive_m2);
+            n_near += u32::from(squared_m2 <= self.limits.negative_m2);
+        }
+        [n_close, n_near]
+    }
+
+    fn squared_distance(&self, place: usize, other: usize) -> f64 {
+        let Tree { xs_m, ys_m, .. } = self.tree;
+        let (dx, dy) = (xs_m[place] - xs_m[other], ys_m[place] - ys_m[other]);
+        dx * dx + dy * dy
+    }
+
+    fn between(&self, a: &Node, b: &Node) -> Between {
+        let (least_m2, most_m2) = a.squared_distances(b);
+        if self.limits.negative_m2 < least_m2 && self.rules.is_exact() {
+            Between::AllNegative
+        } else if self.limits.positive_m2 < least_m2 && most_m2 <= self.limits.negative_m2 {
+            Between::AllAmbiguous
+        } else {
+            Between::Any
+        }
+    }
+
+    /// Computes the ranks, and the numbers of pairs in several frames.
+    fn add_up(&mut self, counted: Vec<Counted>) {
+        let Self { rules, tree, sites, .. } = *self;
+        let is_negative_across = rules.options().cross_site_negatives;
+        let groups: Vec<(u32, u32)> =
+            rules.frames().iter().copied().zip(sites.iter().copied()).collect();
+        let mut before = Before::new(&groups);
+        let mut n_of_class = [0, 0];
+        for part in counted {
+            self.tally = self.tally.plus(part.tally);
+            let of_part = part.positive.into_iter().zip(part.not_negative);
+            for (place, (positive, not_negative)) in (part.start..).zip(of_part) {
+                let n = before.add(tree.keyframes[place] as usize);
+                let mut negative = n.of_frame - u64::from(not_negative);
+                if is_negative_across {
+                    negative += n.elsewhere;
+                } else {
+                    self.tally.candidates.without_common_frame += n.elsewhere;
+                }
+                self.tally.candidates.other_frame += n.in_other_frame_of_site;
+                n_of_class[0] += u64::from(positive);
+                n_of_class[1] += negative;
+                self.positive.push(n_of_class[0]);
+                self.negative.push(n_of_class[1]);
+            }
+        }
+        [self.tally.candidates.positive, self.tally.candidates.negative] = n_of_class;
+    }
+
+    /// The keyframes at two places of the order: the query has the larger number.
+    fn ends(&self, place: usize, other: usize) -> (usize, usize) {
+        let [a, b] = [place, other].map(|place| self.tree.keyframes[place] as usize);
+        (a.max(b), a.min(b))
+    }
+
+    fn ranks(&self, label: Label) -> &[u64] {
+        match label {
+            Label::Positive => &self.positive,
+            Label::Negative => &self.negative,
+        }
+    }
+
+    /// The rank of the first candidate of each square, and the number of candidates, `(n_squares + 1,)`.
+    pub(crate) fn of_squares(&self, label: Label) -> Vec<u64> {
+        let ranks = self.ranks(label);
+        let ends = self.tree.squares.iter().map(|square| ranks[square.root.range().end]);
+        std::iter::once(0).chain(ends).collect()
+    }
+
+    /// The query and the reference of the candidate with a rank.
+    pub(crate) fn candidate(&self, label: Label, rank: u64) -> Option<(usize, usize)> {
+        let ranks = self.ranks(label);
+        let place = ranks.partition_point(|&first| first <= rank) - 1;
+        let at = Node::of_place(self.tree, place);
+        let mut left = rank - ranks[place];
+        let square = self.tree.square_of(place);
+        let found = match label {
+            Label::Positive => {
+                let mut near: Vec<&Square> = self.tree.near(square).collect();
+                near.sort_by_key(|square| square.root.range().start);
+                near.into_iter().find_map(|other| self.find(label, &at, &other.root, &mut left))
+            }
+            Label::Negative => {
+                let of_place = &self.tree.squares[square];
+                let site = self.sites[self.tree.keyframes[place] as usize];
+                self.tree.squares[..=square].iter().find_map(|other| {
+                    match (other.frame == of_place.frame, other.site) {
+                        (true, _) => self.find(label, &at, &other.root, &mut left),
+                        (false, _) if !self.rules.options().cross_site_negatives => None,
+                        (false, Some(same)) if same == site => None,
+                        (false, Some(_)) => skip(&other.root, &mut left),
+                        (false, None) => self.search(label, &at, &other.root, &mut left),
+                    }
+                })
+            }
+        };
+        found.map(|other| self.ends(place, other))
+    }
+
+    /// The place of a candidate of the keyframe `at` in a node, if the node has it: of the candidates in the
+    /// node, the one with `left` others before it. Otherwise `left` is lowered by their number.
+    fn find(&self, label: Label, at: &Node, node: &Node, left: &mut u64) -> Option<usize> {
+        let range = node.range();
+        let place = at.range().start;
+        if place <= range.start {
+            return None;
+        }
+        match (self.between(at, node), label) {
+            (Between::AllNegative, Label::Negative) if range.end <= place => {
+                return skip(node, left);
+            }
+            (Between::AllNegative, Label::Positive) | (Between::AllAmbiguous, _) => return None,
+            (Between::AllNegative, Label::Negative) | (Between::Any, _) => {}
+        }
+        match self.tree.halves(node) {
+            Some(halves) => halves.into_iter().find_map(|half| self.find(label, at, half, left)),
+            None => self.search(label, at, node, left),
+        }
+    }
+
+    /// As `find`, but looks at each pair.
+    fn search(&self, label: Label, at: &Node, node: &Node, left: &mut u64) -> Option<usize> {
+        let place = at.range().start;
+        for other in node.range().start..node.range().end.min(place) {
+            let (query, reference) = self.ends(place, other);
+            if matches!(self.rules.kind(query, reference), Kind::Labelled(of) if of == label) {
+                if *left == 0 {
+                    return Some(other);
+                }
+                *left -= 1;
+            }
+        }
+        None
+    }
+}
+
+/// As [`Ranked::find`], for a node with candidates only.
+fn skip(node: &Node, left: &mut u64) -> Option<usize> {
+    let n = node.len() as u64;
+    if *left < n {
+        return Some(node.range().start + *left as usize);
+    }
+    *left -= n;
+    None
+}
+
+/// The largest number with a square root of at most `radius`. A distance is within the radius exactly if
+/// its square is at most this number, because rounding keeps the order of square roots.
+fn largest_square(radius: f64) -> f64 {
+    let mut square = radius * radius;
+    while square.sqrt() <= radius && square < f64::MAX {
+        square = square.next_up();
+    }
+    while radius < square.sqrt() {
+        square = square.next_down();
+    }
+    square
+}
+
+/// How many keyframes were added, by frame and site.
+struct Before<'a> {
+    /// The frame and the site of each keyframe, `(n_keyframes,)`.
+    groups: &'a [(u32, u32)],
+    n: u64,
+    of_frames: Vec<u64>,
+    of_sites: Vec<u64>,
+    of_groups: std::collections::BTreeMap<(u32, u32), u64>,
+}
+
+/// The keyframes before another one.
+struct NumbersBefore {
+    of_frame: u64,
+    /// Of its site, but not of its frame.
+    in_other_frame_of_site: u64,
+    /// Neither of its frame nor of its site.
+    elsewhere: u64,
+}
+
+impl<'a> Before<'a> {
+    fn new(groups: &'a [(u32, u32)]) -> Self {
+        let n_frames = groups.iter().map(|group| group.0 as usize + 1).max().unwrap_or(0);
+        let n_sites = groups.iter().map(|group| group.1 as usize + 1).max().unwrap_or(0);
+        Self {
+            groups,
+            n: 0,
+            of_frames: vec![0; n_frames],
+            of_sites: vec![0; n_sites],
+            of_groups: std::collections::BTreeMap::new(),
+        }
+    }
+
+    /// Adds a keyframe, and counts the keyframes before it.
+    fn add(&mut self, keyframe: usize) -> NumbersBefore {
+        let (frame, site) = self.groups[keyframe];
+        let of_frame = &mut self.of_frames[frame as usize];
+        let of_site = &mut self.of_sites[site as usize];
+        let of_both = self.of_groups.entry((frame, site)).or_default();
+        let found = NumbersBefore {
+            of_frame: *of_frame,
+            in_other_frame_of_site: *of_site - *of_both,
+            elsewhere: self.n + *of_both - *of_frame - *of_site,
+        };
+        for n in [&mut self.n, of_frame, of_site, of_both] {
+            *n += 1;
+        }
+        found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::largest_square;
+
+    /// The limits compare squares, and the rules compare distances: both agree next to each radius.
+    #[test]
+    fn squares_are_within_the_limit_exactly_if_distances_are_within_the_radius() {
+        for radius in [0.0, 1e-200, 0.1, 1.0, 1.5, 2.0, 3.3, 50.0, 1e6 / 3.0, 1e160, f64::MAX] {
+            let limit = largest_square(radius);
+            assert!(limit.sqrt() <= radius, "{radius}");
+            let beyond = limit.next_up();
+            assert!(radius < beyond.sqrt() || limit == f64::MAX, "{radius}");
+        }
+    }
+}

@@ -1,0 +1,220 @@
+//! The candidate order of keyframes, and a tree of boxes over it.
+//!
+//! Keyframes are sorted by their square of ground: squares with fewer keyframes first, as
+//! [`Squares::of_pair`] compares them. Within a square, a k-d tree (Bentley, "Multidimensional binary
+//! search trees used for associative searching", 1975) halves the keyframes at the median of their
+//! wider side. Every square and every node of its tree is therefore one range of the order:
+//!
+//! ```text
+//! order    | small square | small square |          large square          |
+//! nodes    |    leaf      |     leaf     |   leaf   |   leaf   |   leaf   |
+//! ```
+//!
+//! A pair belongs to the later of its two keyframes. That is also the square that it counts for, so
+//! that the candidates of a square are one range too.
+//!
+//! The order depends on positions and names alone, not on the order of the logs.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use dataset::{Keyframe, Squares};
+
+/// Largest number of keyframes in a node without halves. Pairs of such nodes are compared one by one.
+const LEAF: usize = 16;
+
+/// Keyframes in candidate order.
+pub(crate) struct Tree {
+    /// The keyframe at each place of the order, `(n_keyframes,)`.
+    pub(crate) keyframes: Vec<u32>,
+    /// Positions in this order \[m\], `(n_keyframes,)`.
+    pub(crate) xs_m: Vec<f64>,
+    pub(crate) ys_m: Vec<f64>,
+    /// The squares in their order.
+    pub(crate) squares: Vec<Square>,
+    nodes: Vec<Node>,
+    /// Squares by frame and bucket.
+    buckets: BTreeMap<(u32, i64, i64), Vec<u32>>,
+    bucket_m: f64,
+}
+
+/// A square of ground with its keyframes.
+pub(crate) struct Square {
+    pub(crate) root: Node,
+    pub(crate) frame: u32,
+    /// The site of all its keyframes, by number. `None` if they have several: keyframes in the map of a run.
+    pub(crate) site: Option<u32>,
+}
+
+/// A range of the order, and the box around its positions.
+#[derive(Clone, Copy)]
+pub(crate) struct Node {
+    start: u32,
+    end: u32,
+    /// Least and largest x and y \[m\].
+    low_m: [f64; 2],
+    high_m: [f64; 2],
+    /// The nodes of both halves.
+    halves: Option<[u32; 2]>,
+}
+
+impl Tree {
+    /// The order of keyframes. `squares` are their squares of at most `width_m`, `frames` and `sites` the
+    /// numbers of their frames and sites. [`Tree::near`] finds squares within `reach_m`.
+    pub(crate) fn new(
+        keyframes: &[Keyframe],
+        squares: &Squares,
+        (frames, sites): (&[u32], &[u32]),
+        width_m: f64,
+        reach_m: f64,
+    ) -> Self {
+        let square_of = |k: u32| {
+            let square = squares.of_keyframes[k as usize];
+            (squares.sizes[square as usize], square)
+        };
+        let mut order = by_name(keyframes);
+        order.sort_by_key(|&k| square_of(k));
+        let position = |k: u32| [keyframes[k as usize].pose.x_m, keyframes[k as usize].pose.y_m];
+        let mut tree = Self {
+            keyframes: Vec::new(),
+            xs_m: Vec::new(),
+            ys_m: Vec::new(),
+            squares: Vec::new(),
+            nodes: Vec::new(),
+            buckets: BTreeMap::new(),
+            // Squares within reach are in the same bucket or in the next one. The hundredth is more than
+            // the rounding errors of the division.
+            bucket_m: 1.01 * (width_m + reach_m),
+        };
+        let mut start = 0;
+        for of_square in order.chunk_by_mut(|&a, &b| square_of(a) == square_of(b)) {
+            let mut rows: Vec<(u32, [f64; 2])> =
+                of_square.iter().map(|&k| (k, position(k))).collect();
+            let root = tree.add(&mut rows, start);
+            of_square.iter_mut().zip(&rows).for_each(|(k, row)| *k = row.0);
+            start += of_square.len() as u32;
+            let (first, bucket) = (of_square[0] as usize, tree.bucket(&root));
+            let is_one_site = of_square.iter().all(|&k| sites[k as usize] == sites[first]);
+            let key = (frames[first], bucket[0], bucket[1]);
+            tree.buckets.entry(key).or_default().push(tree.squares.len() as u32);
+            let site = is_one_site.then_some(sites[first]);
+            tree.squares.push(Square { root, frame: frames[first], site });
+        }
+        tree.xs_m = order.iter().map(|&k| position(k)[0]).collect();
+        tree.ys_m = order.iter().map(|&k| position(k)[1]).collect();
+        tree.keyframes = order;
+        tree
+    }
+
+    /// Sorts keyframes into a tree, and returns its root. `start` is the place of the first one.
+    fn add(&mut self, rows: &mut [(u32, [f64; 2])], start: u32) -> Node {
+        let mut low_m = [f64::INFINITY; 2];
+        let mut high_m = [f64::NEG_INFINITY; 2];
+        for (_, position) in rows.iter() {
+            low_m = [0, 1].map(|k| low_m[k].min(position[k]));
+            high_m = [0, 1].map(|k| high_m[k].max(position[k]));
+        }
+        let end = start + rows.len() as u32;
+        let mut node = Node { start, end, low_m, high_m, halves: None };
+        if LEAF < rows.len() {
+            let wider = usize::from(high_m[0] - low_m[0] < high_m[1] - low_m[1]);
+            let middle = rows.len() / 2;
+            rows.select_nth_unstable_by(middle, |a, b| a.1[wider].total_cmp(&b.1[wider]));
+            let (before, after) = rows.split_at_mut(middle);
+            let halves = [self.add(before, start), self.add(after, start + middle as u32)];
+            let first = self.nodes.len() as u32;
+            self.nodes.extend(halves);
+            node.halves = Some([first, first + 1]);
+        }
+        node
+    }
+
+    fn bucket(&self, node: &Node) -> [i64; 2] {
+        node.low_m.map(|metres| (metres / self.bucket_m).floor() as i64)
+    }
+
+    /// The squares up to this one that can have a keyframe within reach of one of its keyframes, and
+    /// others.
+    pub(crate) fn near(&self, square: usize) -> impl Iterator<Item = &Square> {
+        let Square { root, frame, .. } = &self.squares[square];
+        let [x, y] = self.bucket(root);
+        let around = |at: i64| at.saturating_sub(1)..=at.saturating_add(1);
+        around(x)
+            .flat_map(move |x| around(y).map(move |y| (*frame, x, y)))
+            .filter_map(|key| self.buckets.get(&key))
+            .flatten()
+            .filter(move |&&other| other as usize <= square)
+            .map(|&other| &self.squares[other as usize])
+    }
+
+    /// The nodes of both halves; `None` for a leaf.
+    pub(crate) fn halves(&self, node: &Node) -> Option<[&Node; 2]> {
+        node.halves.map(|halves| halves.map(|k| &self.nodes[k as usize]))
+    }
+
+    /// Nodes with at most `most` keyframes that have all keyframes of a square together.
+    pub(crate) fn parts(&self, square: usize, most: usize) -> Vec<Node> {
+        let mut parts = vec![self.squares[square].root];
+        let mut at = 0;
+        while let Some(node) = parts.get(at) {
+            match self.halves(node).filter(|_| most < node.len()) {
+                Some([before, after]) => {
+                    parts[at] = *before;
+                    parts.insert(at + 1, *after);
+                }
+                None => at += 1,
+            }
+        }
+        parts
+    }
+
+    /// The number of the square of a place of the order.
+    pub(crate) fn square_of(&self, place: usize) -> usize {
+        self.squares.partition_point(|square| square.root.range().end <= place)
+    }
+}
+
+impl Node {
+    pub(crate) fn range(&self) -> Range<usize> {
+        self.start as usize..self.end as usize
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.range().len()
+    }
+
+    /// The box around a single keyframe.
+    pub(crate) fn of_place(tree: &Tree, place: usize) -> Self {
+        let at = [tree.xs_m[place], tree.ys_m[place]];
+        let start = place as u32;
+        Self { start, end: start + 1, low_m: at, high_m: at, halves: None }
+    }
+
+    /// Bounds of the squared distances between the positions of two nodes \[m^2\]. They hold for rounded
+    /// numbers as well: differences, squares and sums are rounded in the order of the exact values.
+    pub(crate) fn squared_distances(&self, other: &Self) -> (f64, f64) {
+        let mut bounds = (0.0, 0.0);
+        for k in [0, 1] {
+            let [a, b] = [self.high_m[k] - other.low_m[k], other.high_m[k] - self.low_m[k]];
+            let (least, most) = ((-a).max(-b).max(0.0), a.max(b));
+            bounds.0 += least * least;
+            bounds.1 += most * most;
+        }
+        bounds
+    }
+}
+
+/// Keyframes in order of the names of their logs, then of their scans.
+fn by_name(keyframes: &[Keyframe]) -> Vec<u32> {
+    let logs = numbers(keyframes.iter().map(|keyframe| &*keyframe.id.log));
+    let mut order: Vec<u32> = (0..keyframes.len() as u32).collect();
+    order.sort_by_key(|&k| (logs[k as usize], keyframes[k as usize].id.scan));
+    order
+}
+
+/// Numbers names from 0 in their order, and returns the number of each.
+pub(crate) fn numbers<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Vec<u32> {
+    let mut known: BTreeMap<&str, u32> = names.clone().map(|name| (name, 0)).collect();
+    known.values_mut().zip(0..).for_each(|(number, k)| *number = k);
+    names.map(|name| known[name]).collect()
+}
