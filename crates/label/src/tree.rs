@@ -58,6 +58,9 @@ pub(crate) struct Node {
     halves: Option<[u32; 2]>,
 }
 
+/// The number of a keyframe of a square in order of names, and its position \[m\].
+type Row = (usize, [f64; 2]);
+
 impl Tree {
     /// The order of keyframes. `squares` are their squares of at most `width_m`, `frames` and `sites` the
     /// numbers of their frames and sites. [`Tree::near`] finds squares within `reach_m`.
@@ -88,10 +91,11 @@ impl Tree {
         };
         let mut start = 0;
         for of_square in order.chunk_by_mut(|&a, &b| square_of(a) == square_of(b)) {
-            let mut rows: Vec<(u32, [f64; 2])> =
-                of_square.iter().map(|&k| (k, position(k))).collect();
+            // In order of their names, which decides between equal positions.
+            let of_names = of_square.to_vec();
+            let mut rows: Vec<Row> = (0..).zip(&of_names).map(|(n, &k)| (n, position(k))).collect();
             let root = tree.add(&mut rows, start);
-            of_square.iter_mut().zip(&rows).for_each(|(k, row)| *k = row.0);
+            of_square.iter_mut().zip(&rows).for_each(|(k, row)| *k = of_names[row.0]);
             start += of_square.len() as u32;
             let (first, bucket) = (of_square[0] as usize, tree.bucket(&root));
             let is_one_site = of_square.iter().all(|&k| sites[k as usize] == sites[first]);
@@ -107,7 +111,7 @@ impl Tree {
     }
 
     /// Sorts keyframes into a tree, and returns its root. `start` is the place of the first one.
-    fn add(&mut self, rows: &mut [(u32, [f64; 2])], start: u32) -> Node {
+    fn add(&mut self, rows: &mut [Row], start: u32) -> Node {
         let mut low_m = [f64::INFINITY; 2];
         let mut high_m = [f64::NEG_INFINITY; 2];
         for (_, position) in rows.iter() {
@@ -119,12 +123,16 @@ impl Tree {
         if LEAF < rows.len() {
             let wider = usize::from(high_m[0] - low_m[0] < high_m[1] - low_m[1]);
             let middle = rows.len() / 2;
-            rows.select_nth_unstable_by(middle, |a, b| a.1[wider].total_cmp(&b.1[wider]));
+            rows.select_nth_unstable_by(middle, |a, b| {
+                a.1[wider].total_cmp(&b.1[wider]).then(a.0.cmp(&b.0))
+            });
             let (before, after) = rows.split_at_mut(middle);
             let halves = [self.add(before, start), self.add(after, start + middle as u32)];
             let first = self.nodes.len() as u32;
             self.nodes.extend(halves);
             node.halves = Some([first, first + 1]);
+        } else {
+            rows.sort_unstable_by_key(|row| row.0);
         }
         node
     }
