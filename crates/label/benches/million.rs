@@ -1,6 +1,6 @@
 //! Labels a million keyframes, next to a bare pass over their close pairs.
 //!
-//! `cargo bench -p label --bench million`, or `-- N` for N keyframes.
+//! `cargo bench -p label --bench million`, or `-- N WORLD` for N keyframes and one of the worlds.
 //!
 //! Three worlds: many drives over the roads of a campus, one long line, and a hall that is covered
 //! evenly. The limit is what no program can do without: one pass over the pairs within
@@ -23,10 +23,13 @@ const SPACING_M: f64 = 0.5;
 const SEED: u64 = 2436;
 
 fn main() {
-    let argument = std::env::args().skip(1).find_map(|argument| argument.parse().ok());
-    let n = argument.unwrap_or(N);
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let n = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(N);
+    let worlds = [("line", line as World), ("campus", campus), ("hall", hall)];
+    let is_named = |name: &str| arguments.iter().any(|argument| argument == name);
+    let is_any_named = worlds.iter().any(|(name, _)| is_named(name));
     println!("{n} keyframes, {} threads", rayon::current_num_threads());
-    for (name, world) in [("line", line as World), ("campus", campus), ("hall", hall)] {
+    for (name, world) in worlds.into_iter().filter(|(name, _)| !is_any_named || is_named(name)) {
         let keyframes = world(n);
         println!("{name}: keyframes made, VmHWM {} MB", peak_mb());
         let options = label::Options::default();

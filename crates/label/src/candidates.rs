@@ -15,18 +15,20 @@
 //! If the poses rest on measurements, the uncertainty of any distance can be too large for a label. All pairs
 //! that are not ambiguous by distance are then looked at.
 
+use std::collections::BTreeMap;
+
 use dataset::Label;
 use rayon::prelude::*;
 
-use crate::rules::{Kind, Rules, Tally};
+use crate::rules::{Kind, Row, Rules, Tally};
 use crate::tree::{Node, Square, Tree};
 
 /// The candidates of both classes.
 pub(crate) struct Ranked<'a> {
     rules: &'a Rules<'a>,
     tree: &'a Tree,
-    /// The number of the site of each keyframe, `(n_keyframes,)`.
-    sites: &'a [u32],
+    /// The keyframes in candidate order, `(n_keyframes,)`.
+    rows: Vec<Row>,
     limits: Limits,
     /// The rank of the first candidate of each place of the order, and the number of candidates,
     /// `(n_keyframes + 1,)`.
@@ -62,16 +64,17 @@ struct Counted {
 }
 
 impl<'a> Ranked<'a> {
-    /// Counts the candidates. `sites` are the numbers of the sites of the keyframes.
-    pub(crate) fn new(rules: &'a Rules<'a>, tree: &'a Tree, sites: &'a [u32]) -> Self {
+    /// Counts the candidates.
+    pub(crate) fn new(rules: &'a Rules<'a>, tree: &'a Tree) -> Self {
         let options = rules.options();
         let limits = Limits {
             positive_m2: largest_square(options.positive_radius_m),
             negative_m2: largest_square(options.negative_min_m),
         };
         let (positive, negative) = (vec![0], vec![0]);
+        let rows = tree.keyframes.iter().map(|&k| rules.rows()[k as usize]).collect();
         let tally = Tally::default();
-        let mut ranked = Self { rules, tree, sites, limits, positive, negative, tally };
+        let mut ranked = Self { rules, tree, rows, limits, positive, negative, tally };
         let tasks: Vec<(usize, Node)> = (0..tree.squares.len())
             .flat_map(|square| tree.parts(square, TASK).into_iter().map(move |part| (square, part)))
             .collect();
@@ -134,8 +137,8 @@ impl<'a> Ranked<'a> {
                 continue;
             }
             let [n_close, n_near] = self.within(place, before.clone());
-            counted.not_negative[k] += n_near - n_close;
-            counted.tally.candidates.ambiguous += u64::from(n_near - n_close);
+            counted.not_negative[k] += (n_near - n_close) as u32;
+            counted.tally.candidates.ambiguous += n_near - n_close;
             if n_close == 0 {
                 continue;
             }
@@ -149,25 +152,25 @@ impl<'a> Ranked<'a> {
 
     fn look_at(&self, place: usize, other: usize, counted: &mut Counted, k: usize) {
         let (query, reference) = self.ends(place, other);
-        let kind = self.rules.kind(query, reference);
+        let kind = self.rules.kind_of(query, reference);
         if let Kind::Labelled(Label::Negative) = kind {
             return;
         }
-        counted.tally.add(self.rules, &kind, query, reference);
+        counted.tally.add(self.rules.options(), &kind, query, reference);
         counted.positive[k] += u32::from(matches!(kind, Kind::Labelled(Label::Positive)));
         counted.not_negative[k] += 1;
     }
 
     /// How many keyframes are within the positive radius and within the negative one.
     #[inline]
-    fn within(&self, place: usize, others: std::ops::Range<usize>) -> [u32; 2] {
+    fn within(&self, place: usize, others: std::ops::Range<usize>) -> [u64; 2] {
         let Tree { xs_m, ys_m, .. } = self.tree;
         let (x_m, y_m, mut n_close, mut n_near) = (xs_m[place], ys_m[place], 0, 0);
         for (other_x_m, other_y_m) in xs_m[others.clone()].iter().zip(&ys_m[others]) {
             let (dx, dy) = (x_m - other_x_m, y_m - other_y_m);
             let squared_m2 = dx * dx + dy * dy;
-            n_close += u32::from(squared_m2 <= self.limits.positive_m2);
-            n_near += u32::from(squared_m2 <= self.limits.negative_m2);
+            n_close += u64::from(squared_m2 <= self.limits.positive_m2);
+            n_near += u64::from(squared_m2 <= self.limits.negative_m2);
         }
         [n_close, n_near]
     }
@@ -191,17 +194,14 @@ impl<'a> Ranked<'a> {
 
     /// Computes the ranks, and the numbers of pairs in several frames.
     fn add_up(&mut self, counted: Vec<Counted>) {
-        let Self { rules, tree, sites, .. } = *self;
-        let is_negative_across = rules.options().cross_site_negatives;
-        let groups: Vec<(u32, u32)> =
-            rules.frames().iter().copied().zip(sites.iter().copied()).collect();
-        let mut before = Before::new(&groups);
+        let is_negative_across = self.rules.options().cross_site_negatives;
+        let mut before = Before::new(&self.rows);
         let mut n_of_class = [0, 0];
         for part in counted {
             self.tally = self.tally.plus(part.tally);
             let of_part = part.positive.into_iter().zip(part.not_negative);
             for (place, (positive, not_negative)) in (part.start..).zip(of_part) {
-                let n = before.add(tree.keyframes[place] as usize);
+                let n = before.add(&self.rows[place]);
                 let mut negative = n.of_frame - u64::from(not_negative);
                 if is_negative_across {
                     negative += n.elsewhere;
@@ -219,9 +219,10 @@ impl<'a> Ranked<'a> {
     }
 
     /// The keyframes at two places of the order: the query has the larger number.
-    fn ends(&self, place: usize, other: usize) -> (usize, usize) {
-        let [a, b] = [place, other].map(|place| self.tree.keyframes[place] as usize);
-        (a.max(b), a.min(b))
+    #[inline]
+    fn ends(&self, place: usize, other: usize) -> (&Row, &Row) {
+        let (a, b) = (&self.rows[place], &self.rows[other]);
+        if a.keyframe < b.keyframe { (b, a) } else { (a, b) }
     }
 
     fn ranks(&self, label: Label) -> &[u64] {
@@ -253,7 +254,7 @@ impl<'a> Ranked<'a> {
             }
             Label::Negative => {
                 let of_place = &self.tree.squares[square];
-                let site = self.sites[self.tree.keyframes[place] as usize];
+                let site = self.rows[place].site;
                 self.tree.squares[..=square].iter().find_map(|other| {
                     match (other.frame == of_place.frame, other.site) {
                         (true, _) => self.find(label, &at, &other.root, &mut left),
@@ -265,7 +266,8 @@ impl<'a> Ranked<'a> {
                 })
             }
         };
-        found.map(|other| self.ends(place, other))
+        let (query, reference) = self.ends(place, found?);
+        Some((query.keyframe as usize, reference.keyframe as usize))
     }
 
     /// The place of a candidate of the keyframe `at` in a node, if the node has it: of the candidates in the
@@ -294,7 +296,7 @@ impl<'a> Ranked<'a> {
         let place = at.range().start;
         for other in node.range().start..node.range().end.min(place) {
             let (query, reference) = self.ends(place, other);
-            if matches!(self.rules.kind(query, reference), Kind::Labelled(of) if of == label) {
+            if matches!(self.rules.kind_of(query, reference), Kind::Labelled(of) if of == label) {
                 if *left == 0 {
                     return Some(other);
                 }
@@ -329,13 +331,11 @@ fn largest_square(radius: f64) -> f64 {
 }
 
 /// How many keyframes were added, by frame and site.
-struct Before<'a> {
-    /// The frame and the site of each keyframe, `(n_keyframes,)`.
-    groups: &'a [(u32, u32)],
+struct Before {
     n: u64,
     of_frames: Vec<u64>,
     of_sites: Vec<u64>,
-    of_groups: std::collections::BTreeMap<(u32, u32), u64>,
+    of_groups: BTreeMap<(u32, u32), u64>,
 }
 
 /// The keyframes before another one.
@@ -347,22 +347,18 @@ struct NumbersBefore {
     elsewhere: u64,
 }
 
-impl<'a> Before<'a> {
-    fn new(groups: &'a [(u32, u32)]) -> Self {
-        let n_frames = groups.iter().map(|group| group.0 as usize + 1).max().unwrap_or(0);
-        let n_sites = groups.iter().map(|group| group.1 as usize + 1).max().unwrap_or(0);
-        Self {
-            groups,
-            n: 0,
-            of_frames: vec![0; n_frames],
-            of_sites: vec![0; n_sites],
-            of_groups: std::collections::BTreeMap::new(),
-        }
+impl Before {
+    fn new(rows: &[Row]) -> Self {
+        let n_of = |number: fn(&Row) -> u32| {
+            rows.iter().map(number).max().map_or(0, |last| last as usize + 1)
+        };
+        let of_frames = vec![0; n_of(|row| row.frame)];
+        let of_sites = vec![0; n_of(|row| row.site)];
+        Self { n: 0, of_frames, of_sites, of_groups: BTreeMap::new() }
     }
 
     /// Adds a keyframe, and counts the keyframes before it.
-    fn add(&mut self, keyframe: usize) -> NumbersBefore {
-        let (frame, site) = self.groups[keyframe];
+    fn add(&mut self, &Row { frame, site, .. }: &Row) -> NumbersBefore {
         let of_frame = &mut self.of_frames[frame as usize];
         let of_site = &mut self.of_sites[site as usize];
         let of_both = self.of_groups.entry((frame, site)).or_default();

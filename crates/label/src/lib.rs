@@ -43,6 +43,7 @@ mod candidates;
 mod copies;
 mod draw;
 mod folds;
+mod names;
 mod options;
 mod rules;
 mod spread;
@@ -58,7 +59,7 @@ pub use rules::{Candidates, Rules};
 pub use uncertainty::{ALIGNMENT_STD_M, Measurement, PoseGraph, Vertex};
 
 use candidates::Ranked;
-use rules::{Heights, travel_gap_m};
+use rules::Heights;
 use spread::Class;
 use tree::{Square, Tree};
 
@@ -171,13 +172,13 @@ fn draw(
     seed: u64,
     keyframes: &[Keyframe],
 ) -> Result<Labelled, LabelError> {
-    let sites = tree::numbers(keyframes.iter().map(|keyframe| &*keyframe.site));
     let (width_m, layer_m) = (options.place_m, options.max_height_difference_m);
-    let squares = Squares::new(keyframes, rules.frames(), width_m, layer_m);
+    let frames: Vec<u32> = rules.rows().iter().map(|row| row.frame).collect();
+    let squares = Squares::new(keyframes, &frames, width_m, layer_m);
     // The uncertainty of a distance can be of any size.
     let reach_m = if rules.is_exact() { options.negative_min_m } else { f64::INFINITY };
-    let tree = Tree::new(keyframes, &squares, (rules.frames(), &sites), width_m, reach_m);
-    let ranked = Ranked::new(rules, &tree, &sites);
+    let tree = Tree::new(keyframes, rules.rows(), &squares, width_m, reach_m);
+    let ranked = Ranked::new(rules, &tree);
     let candidates = ranked.tally.candidates;
     check_enough(options, keyframes, candidates)?;
     let mut pairs: Vec<Pair> = Vec::with_capacity(2 * options.pairs_per_class);
@@ -218,7 +219,7 @@ fn pair(
         distance_m: if shares_frame { a.pose.distance_m(&b.pose) } else { f64::INFINITY },
         distance_std_m: None,
         heading_difference_rad: shares_frame.then(|| a.pose.heading_difference_rad(&b.pose)),
-        travel_gap_m: travel_gap_m(a, b),
+        travel_gap_m: rules.travel_gap_m(query, reference),
     }
 }
 

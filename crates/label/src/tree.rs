@@ -20,8 +20,10 @@ use std::ops::Range;
 
 use dataset::{Keyframe, Squares};
 
+use crate::rules::Row;
+
 /// Largest number of keyframes in a node without halves. Pairs of such nodes are compared one by one.
-const LEAF: usize = 16;
+const LEAF: usize = 32;
 
 /// Keyframes in candidate order.
 pub(crate) struct Tree {
@@ -59,15 +61,15 @@ pub(crate) struct Node {
 }
 
 /// The number of a keyframe of a square in order of names, and its position \[m\].
-type Row = (usize, [f64; 2]);
+type Point = (usize, [f64; 2]);
 
 impl Tree {
-    /// The order of keyframes. `squares` are their squares of at most `width_m`, `frames` and `sites` the
-    /// numbers of their frames and sites. [`Tree::near`] finds squares within `reach_m`.
+    /// The order of keyframes. `squares` are their squares of at most `width_m`. [`Tree::near`] finds squares
+    /// within `reach_m`.
     pub(crate) fn new(
         keyframes: &[Keyframe],
+        rows: &[Row],
         squares: &Squares,
-        (frames, sites): (&[u32], &[u32]),
         width_m: f64,
         reach_m: f64,
     ) -> Self {
@@ -75,9 +77,10 @@ impl Tree {
             let square = squares.of_keyframes[k as usize];
             (squares.sizes[square as usize], square)
         };
-        let mut order = by_name(keyframes);
+        let mut order: Vec<u32> = (0..rows.len() as u32).collect();
+        order.sort_by_key(|&k| (rows[k as usize].log, keyframes[k as usize].id.scan));
         order.sort_by_key(|&k| square_of(k));
-        let position = |k: u32| [keyframes[k as usize].pose.x_m, keyframes[k as usize].pose.y_m];
+        let position = |k: u32| [rows[k as usize].pose.x_m, rows[k as usize].pose.y_m];
         let mut tree = Self {
             keyframes: Vec::new(),
             xs_m: Vec::new(),
@@ -93,16 +96,17 @@ impl Tree {
         for of_square in order.chunk_by_mut(|&a, &b| square_of(a) == square_of(b)) {
             // In order of their names, which decides between equal positions.
             let of_names = of_square.to_vec();
-            let mut rows: Vec<Row> = (0..).zip(&of_names).map(|(n, &k)| (n, position(k))).collect();
-            let root = tree.add(&mut rows, start);
-            of_square.iter_mut().zip(&rows).for_each(|(k, row)| *k = of_names[row.0]);
+            let mut points: Vec<Point> =
+                (0..).zip(&of_names).map(|(n, &k)| (n, position(k))).collect();
+            let root = tree.add(&mut points, start);
+            of_square.iter_mut().zip(&points).for_each(|(k, point)| *k = of_names[point.0]);
             start += of_square.len() as u32;
-            let (first, bucket) = (of_square[0] as usize, tree.bucket(&root));
-            let is_one_site = of_square.iter().all(|&k| sites[k as usize] == sites[first]);
-            let key = (frames[first], bucket[0], bucket[1]);
+            let (first, bucket) = (&rows[of_square[0] as usize], tree.bucket(&root));
+            let is_one_site = of_square.iter().all(|&k| rows[k as usize].site == first.site);
+            let key = (first.frame, bucket[0], bucket[1]);
             tree.buckets.entry(key).or_default().push(tree.squares.len() as u32);
-            let site = is_one_site.then_some(sites[first]);
-            tree.squares.push(Square { root, frame: frames[first], site });
+            let site = is_one_site.then_some(first.site);
+            tree.squares.push(Square { root, frame: first.frame, site });
         }
         tree.xs_m = order.iter().map(|&k| position(k)[0]).collect();
         tree.ys_m = order.iter().map(|&k| position(k)[1]).collect();
@@ -111,28 +115,28 @@ impl Tree {
     }
 
     /// Sorts keyframes into a tree, and returns its root. `start` is the place of the first one.
-    fn add(&mut self, rows: &mut [Row], start: u32) -> Node {
+    fn add(&mut self, points: &mut [Point], start: u32) -> Node {
         let mut low_m = [f64::INFINITY; 2];
         let mut high_m = [f64::NEG_INFINITY; 2];
-        for (_, position) in rows.iter() {
+        for (_, position) in points.iter() {
             low_m = [0, 1].map(|k| low_m[k].min(position[k]));
             high_m = [0, 1].map(|k| high_m[k].max(position[k]));
         }
-        let end = start + rows.len() as u32;
+        let end = start + points.len() as u32;
         let mut node = Node { start, end, low_m, high_m, halves: None };
-        if LEAF < rows.len() {
+        if LEAF < points.len() {
             let wider = usize::from(high_m[0] - low_m[0] < high_m[1] - low_m[1]);
-            let middle = rows.len() / 2;
-            rows.select_nth_unstable_by(middle, |a, b| {
+            let middle = points.len() / 2;
+            points.select_nth_unstable_by(middle, |a, b| {
                 a.1[wider].total_cmp(&b.1[wider]).then(a.0.cmp(&b.0))
             });
-            let (before, after) = rows.split_at_mut(middle);
+            let (before, after) = points.split_at_mut(middle);
             let halves = [self.add(before, start), self.add(after, start + middle as u32)];
             let first = self.nodes.len() as u32;
             self.nodes.extend(halves);
             node.halves = Some([first, first + 1]);
         } else {
-            rows.sort_unstable_by_key(|row| row.0);
+            points.sort_unstable_by_key(|point| point.0);
         }
         node
     }
@@ -210,19 +214,4 @@ impl Node {
         }
         bounds
     }
-}
-
-/// Keyframes in order of the names of their logs, then of their scans.
-fn by_name(keyframes: &[Keyframe]) -> Vec<u32> {
-    let logs = numbers(keyframes.iter().map(|keyframe| &*keyframe.id.log));
-    let mut order: Vec<u32> = (0..keyframes.len() as u32).collect();
-    order.sort_by_key(|&k| (logs[k as usize], keyframes[k as usize].id.scan));
-    order
-}
-
-/// Numbers names from 0 in their order, and returns the number of each.
-pub(crate) fn numbers<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Vec<u32> {
-    let mut known: BTreeMap<&str, u32> = names.clone().map(|name| (name, 0)).collect();
-    known.values_mut().zip(0..).for_each(|(number, k)| *number = k);
-    names.map(|name| known[name]).collect()
 }
