@@ -376,7 +376,13 @@ impl Before {
 
 #[cfg(test)]
 mod tests {
-    use super::largest_square;
+    use std::collections::BTreeSet;
+
+    use dataset::{Keyframe, Pose2, ScanId, SplitMix64, Squares};
+
+    use super::*;
+    use crate::uncertainty::{Measurement, PoseGraph, Vertex};
+    use crate::{Candidates, Options};
 
     /// The limits compare squares, and the rules compare distances: both agree next to each radius.
     #[test]
@@ -386,6 +392,150 @@ mod tests {
             assert!(limit.sqrt() <= radius, "{radius}");
             let beyond = limit.next_up();
             assert!(radius < beyond.sqrt() || limit == f64::MAX, "{radius}");
+        }
+    }
+
+    fn one_of<T: Copy>(random: &mut SplitMix64, values: &[T]) -> T {
+        values[random.below(values.len() as u64)]
+    }
+
+    /// Positions are multiples of half a metre, so that many distances are exactly at a radius, and several
+    /// keyframes are at one position. There are sites with several logs, logs with several frames, maps with
+    /// several sites, scans of half a circle, and floors.
+    fn world(random: &mut SplitMix64, n: usize) -> Vec<Keyframe> {
+        let width = one_of(random, &[4, 20, 60]);
+        let n_logs = 1 + random.below(4);
+        let (n_frames, in_maps) = (one_of(random, &[1, 1, 2]), random.below(3) == 0);
+        let floors = one_of(random, &[1, 1, 3]);
+        let origin_m = one_of(random, &[0.0, -7.25, 4e5 + 0.1]);
+        let keyframe = |k: usize| {
+            let log = random.below(n_logs as u64);
+            let [x, y] = [(); 2].map(|()| random.below(width) as f64);
+            Keyframe {
+                id: ScanId { log: format!("log {}", (log + 2) % 4).into(), scan: k as u32 },
+                site: format!("site {}", log / 2).into(),
+                stamp_ns: k as i64,
+                pose: Pose2 {
+                    x_m: origin_m + 0.5 * x,
+                    y_m: 0.5 * y - origin_m,
+                    heading_rad: one_of(random, &[0.0, 1.5, 3.0, -3.0]),
+                },
+                covariance: None,
+                z_m: (0 < random.below(4)).then(|| 3.0 * random.below(floors) as f64),
+                segment: 0,
+                frame: if log == 1 { random.below(n_frames) as u32 } else { 0 },
+                map: (in_maps && log != 2).then(|| log as u32 / 3),
+                travel_m: k as f64,
+                coverage_deg: one_of(random, &[180.0, 360.0, 360.0]),
+            }
+        };
+        (0..n).map(keyframe).collect()
+    }
+
+    fn options(random: &mut SplitMix64) -> Options {
+        let positive_radius_m = one_of(random, &[0.0, 0.5, 1.0, 1.5]);
+        Options {
+            positive_radius_m,
+            positive_heading_deg: one_of(random, &[45.0, 180.0]),
+            negative_min_m: positive_radius_m + one_of(random, &[0.0, 0.5, 2.5, 8.0]),
+            min_travel_gap_m: one_of(random, &[0.0, 20.0]),
+            place_m: one_of(random, &[0.4, 1.0, 5.0, 1000.0]),
+            cross_site_negatives: random.below(2) == 0,
+            ..Options::default()
+        }
+    }
+
+    /// A path through all keyframes, a few of which have no vertex.
+    fn graph(random: &mut SplitMix64, keyframes: &[Keyframe]) -> PoseGraph {
+        let n = keyframes.len();
+        let variance = one_of(random, &[1e-4, 0.01]);
+        let step = |a: usize| Measurement {
+            a,
+            b: a + 1,
+            a_from_b: keyframes[a].pose.inverse() * keyframes[a + 1].pose,
+            covariance: [variance, 0.0, 0.0, variance, 0.0, 1e-6],
+        };
+        let path: Vec<Measurement> = (0..n - 1).map(step).collect();
+        let of_keyframes = (0..n).map(|k| (0 < random.below(10)).then_some(k)).collect();
+        PoseGraph::new(&vec![Vertex::default(); n], &path, of_keyframes)
+    }
+
+    /// Compares counts and ranks with the rules for all pairs, one by one.
+    fn check(keyframes: &[Keyframe], options: &Options, rules: &Rules<'_>, what: &str) -> Tally {
+        let tree = Tree::new(rules, keyframes);
+        let ranked = Ranked::new(rules, &tree);
+        let frames: Vec<u32> = rules.rows().iter().map(|row| row.frame).collect();
+        let layer_m = options.max_height_difference_m;
+        let squares = Squares::new(keyframes, &frames, options.place_m, layer_m);
+        let mut places = vec![0; keyframes.len()];
+        tree.keyframes.iter().enumerate().for_each(|(place, &k)| places[k as usize] = place);
+        let mut tally = Tally::default();
+        let mut expected = [BTreeSet::new(), BTreeSet::new()];
+        for query in 0..keyframes.len() {
+            for reference in 0..query {
+                let [a, b] = [query, reference].map(|k| &rules.rows()[k]);
+                let kind = rules.kind_of(a, b);
+                tally.add(options, &kind, a, b);
+                if let Kind::Labelled(label) = kind {
+                    let (later, other) = (places[query], places[reference]);
+                    let order = (later.max(other), later.min(other));
+                    let of_label = &mut expected[usize::from(label == Label::Negative)];
+                    of_label.insert((order, query, reference));
+                }
+            }
+        }
+        assert_eq!(ranked.tally, tally, "{what}");
+        for (label, expected) in [Label::Positive, Label::Negative].into_iter().zip(expected) {
+            let firsts = ranked.of_squares(label);
+            assert_eq!(*firsts.last().unwrap(), expected.len() as u64, "{what}");
+            for (rank, (_, query, reference)) in (0..).zip(expected) {
+                let found = ranked.candidate(label, rank);
+                assert_eq!(found, Some((query, reference)), "{what}: {label:?} {rank}");
+                let square = &tree.squares[crate::draw::place_of(&firsts, rank)];
+                let of_square = tree.keyframes[square.root.range().start] as usize;
+                let counts_for = squares.of_pair(query, reference);
+                assert_eq!(squares.of_keyframes[of_square], counts_for, "{what}");
+            }
+        }
+        tally
+    }
+
+    #[test]
+    fn counts_and_ranks_are_those_of_all_pairs() {
+        let mut random = SplitMix64::new(16);
+        let mut all = Tally::default();
+        for round in 0..200 {
+            let n = if round % 100 == 0 { 700 } else { 1 + random.below(150) };
+            let (keyframes, options) = (world(&mut random, n), options(&mut random));
+            let what = format!("round {round}: {n} keyframes, {options:?}");
+            let rules = Rules::new(&options, &keyframes);
+            all = all.plus(check(&keyframes, &options, &rules, &what));
+            if n < 100 {
+                let graph = graph(&mut random, &keyframes);
+                let rules = Rules::with_graph(&options, &keyframes, &graph);
+                let what = format!("with a graph, {what}");
+                all = all.plus(check(&keyframes, &options, &rules, &what));
+            }
+        }
+        let Candidates { positive, negative, ambiguous, .. } = all.candidates;
+        let Candidates { undecided_positive, undecided_negative, .. } = all.candidates;
+        let Candidates { other_height, short_travel_gap, other_frame, .. } = all.candidates;
+        let n_without = all.candidates.without_common_frame;
+        for (k, n) in [
+            positive,
+            negative,
+            ambiguous,
+            undecided_positive,
+            undecided_negative,
+            other_height,
+            short_travel_gap,
+            other_frame,
+            n_without,
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            assert!(1000 < n, "too few pairs of kind {k} to compare: {n}");
         }
     }
 }

@@ -50,7 +50,7 @@ mod spread;
 mod tree;
 mod uncertainty;
 
-use dataset::{Keyframe, Label, Note, NoteKind, OutOfRange, Pair, Squares};
+use dataset::{Keyframe, Label, Note, NoteKind, OutOfRange, Pair};
 use rayon::prelude::*;
 
 pub use folds::{FoldOptions, Folds, Grouping, assign_folds};
@@ -172,12 +172,7 @@ fn draw(
     seed: u64,
     keyframes: &[Keyframe],
 ) -> Result<Labelled, LabelError> {
-    let (width_m, layer_m) = (options.place_m, options.max_height_difference_m);
-    let frames: Vec<u32> = rules.rows().iter().map(|row| row.frame).collect();
-    let squares = Squares::new(keyframes, &frames, width_m, layer_m);
-    // The uncertainty of a distance can be of any size.
-    let reach_m = if rules.is_exact() { options.negative_min_m } else { f64::INFINITY };
-    let tree = Tree::new(keyframes, rules.rows(), &squares, width_m, reach_m);
+    let tree = Tree::new(rules, keyframes);
     let ranked = Ranked::new(rules, &tree);
     let candidates = ranked.tally.candidates;
     check_enough(options, keyframes, candidates)?;
@@ -186,11 +181,8 @@ fn draw(
     for label in [Label::Positive, Label::Negative] {
         let first =
             |square: &Square| &keyframes[tree.keyframes[square.root.range().start] as usize];
-        let class = Class {
-            label,
-            firsts: ranked.of_squares(label),
-            keyframes: tree.squares.iter().map(first).collect(),
-        };
+        let places = tree.squares.iter().map(first).collect();
+        let class = Class { label, firsts: ranked.of_squares(label), keyframes: places };
         let spread = class.draw(options, seed);
         let drawn = spread.ranks.into_par_iter();
         let drawn = drawn.filter_map(|rank| ranked.candidate(label, rank));

@@ -253,14 +253,14 @@ impl Candidates {
 
 /// The number of pairs of each kind, and what the heights of pairs that are close in the plane
 /// look like.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Tally {
     pub(crate) candidates: Candidates,
     pub(crate) heights: Heights,
 }
 
 /// Pairs that are close in the plane and have a height.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Heights {
     /// Positives with a height difference of more than half the limit.
     pub(crate) upper_half: u64,

@@ -20,7 +20,7 @@ use std::ops::Range;
 
 use dataset::{Keyframe, Squares};
 
-use crate::rules::Row;
+use crate::rules::Rules;
 
 /// Largest number of keyframes in a node without halves. Pairs of such nodes are compared one by one.
 const LEAF: usize = 32;
@@ -64,15 +64,14 @@ pub(crate) struct Node {
 type Point = (usize, [f64; 2]);
 
 impl Tree {
-    /// The order of keyframes. `squares` are their squares of at most `width_m`. [`Tree::near`] finds squares
-    /// within `reach_m`.
-    pub(crate) fn new(
-        keyframes: &[Keyframe],
-        rows: &[Row],
-        squares: &Squares,
-        width_m: f64,
-        reach_m: f64,
-    ) -> Self {
+    /// The order of the keyframes of some rules.
+    pub(crate) fn new(rules: &Rules<'_>, keyframes: &[Keyframe]) -> Self {
+        let (options, rows) = (rules.options(), rules.rows());
+        let (width_m, layer_m) = (options.place_m, options.max_height_difference_m);
+        let frames: Vec<u32> = rows.iter().map(|row| row.frame).collect();
+        let squares = Squares::new(keyframes, &frames, width_m, layer_m);
+        // A pair that is not negative is within this distance. The uncertainty of a distance has no limit.
+        let reach_m = if rules.is_exact() { options.negative_min_m } else { f64::INFINITY };
         let square_of = |k: u32| {
             let square = squares.of_keyframes[k as usize];
             (squares.sizes[square as usize], square)
@@ -145,8 +144,8 @@ impl Tree {
         node.low_m.map(|metres| (metres / self.bucket_m).floor() as i64)
     }
 
-    /// The squares up to this one that can have a keyframe within reach of one of its keyframes, and
-    /// others.
+    /// The squares up to this one with keyframes that can form a pair with its keyframes that is not
+    /// negative, and a few others.
     pub(crate) fn near(&self, square: usize) -> impl Iterator<Item = &Square> {
         let Square { root, frame, .. } = &self.squares[square];
         let [x, y] = self.bucket(root);
