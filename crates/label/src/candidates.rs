@@ -1,7 +1,7 @@
 //! The candidates of both classes: how many each keyframe has, and which one has a given rank.
 //!
 //! A pair belongs to the later of its two keyframes in the candidate order (see [`Tree`]). Candidates are
-//! sorted by their later keyframe, then by the other one. The rank of a candidate is its place in this
+//! sorted by their later keyframe, then by the other one. The rank of a candidate is its number in this
 //! order, from 0.
 //!
 //! Few pairs are looked at. Of two boxes of the tree, all pairs are
@@ -30,7 +30,7 @@ pub(crate) struct Ranked<'a> {
     /// The keyframes in candidate order, `(n_keyframes,)`.
     rows: Vec<Row>,
     limits: Limits,
-    /// The rank of the first candidate of each place of the order, and the number of candidates,
+    /// The rank of the first candidate of each row, and the number of candidates,
     /// `(n_keyframes + 1,)`.
     positive: Vec<u64>,
     negative: Vec<u64>,
@@ -107,8 +107,8 @@ impl<'a> Ranked<'a> {
         match self.between(a, b) {
             Between::AllNegative => return,
             Between::AllAmbiguous if of_b.end <= of_a.start => {
-                let places = of_a.start - counted.start..of_a.end - counted.start;
-                for n in &mut counted.not_negative[places] {
+                let rows = of_a.start - counted.start..of_a.end - counted.start;
+                for n in &mut counted.not_negative[rows] {
                     *n += b.len() as u32;
                 }
                 counted.tally.candidates.ambiguous += a.len() as u64 * b.len() as u64;
@@ -129,29 +129,29 @@ impl<'a> Ranked<'a> {
 
     /// Looks at each pair of two leaves.
     fn look(&self, a: &Node, b: &Node, counted: &mut Counted) {
-        for place in a.range() {
-            let before = b.range().start..b.range().end.min(place);
-            let k = place - counted.start;
+        for row in a.range() {
+            let before = b.range().start..b.range().end.min(row);
+            let k = row - counted.start;
             if !self.rules.is_exact() {
-                before.for_each(|other| self.look_at(place, other, counted, k));
+                before.for_each(|other| self.look_at(row, other, counted, k));
                 continue;
             }
-            let [n_close, n_near] = self.within(place, before.clone());
+            let [n_close, n_near] = self.within(row, before.clone());
             counted.not_negative[k] += (n_near - n_close) as u32;
             counted.tally.candidates.ambiguous += n_near - n_close;
             if n_close == 0 {
                 continue;
             }
             for other in before {
-                if self.squared_distance(place, other) <= self.limits.positive_m2 {
-                    self.look_at(place, other, counted, k);
+                if self.squared_distance(row, other) <= self.limits.positive_m2 {
+                    self.look_at(row, other, counted, k);
                 }
             }
         }
     }
 
-    fn look_at(&self, place: usize, other: usize, counted: &mut Counted, k: usize) {
-        let (query, reference) = self.ends(place, other);
+    fn look_at(&self, row: usize, other: usize, counted: &mut Counted, k: usize) {
+        let (query, reference) = self.ends(row, other);
         let kind = self.rules.kind_of(query, reference);
         if let Kind::Labelled(Label::Negative) = kind {
             return;
@@ -163,9 +163,9 @@ impl<'a> Ranked<'a> {
 
     /// How many keyframes are within the positive radius and within the negative one.
     #[inline]
-    fn within(&self, place: usize, others: std::ops::Range<usize>) -> [u64; 2] {
+    fn within(&self, row: usize, others: std::ops::Range<usize>) -> [u64; 2] {
         let Tree { xs_m, ys_m, .. } = self.tree;
-        let (x_m, y_m, mut n_close, mut n_near) = (xs_m[place], ys_m[place], 0, 0);
+        let (x_m, y_m, mut n_close, mut n_near) = (xs_m[row], ys_m[row], 0, 0);
         for (other_x_m, other_y_m) in xs_m[others.clone()].iter().zip(&ys_m[others]) {
             let (dx, dy) = (x_m - other_x_m, y_m - other_y_m);
             let squared_m2 = dx * dx + dy * dy;
@@ -175,9 +175,9 @@ impl<'a> Ranked<'a> {
         [n_close, n_near]
     }
 
-    fn squared_distance(&self, place: usize, other: usize) -> f64 {
+    fn squared_distance(&self, row: usize, other: usize) -> f64 {
         let Tree { xs_m, ys_m, .. } = self.tree;
-        let (dx, dy) = (xs_m[place] - xs_m[other], ys_m[place] - ys_m[other]);
+        let (dx, dy) = (xs_m[row] - xs_m[other], ys_m[row] - ys_m[other]);
         dx * dx + dy * dy
     }
 
@@ -200,8 +200,8 @@ impl<'a> Ranked<'a> {
         for part in counted {
             self.tally = self.tally.plus(part.tally);
             let of_part = part.positive.into_iter().zip(part.not_negative);
-            for (place, (positive, not_negative)) in (part.start..).zip(of_part) {
-                let n = before.add(&self.rows[place]);
+            for (row, (positive, not_negative)) in (part.start..).zip(of_part) {
+                let n = before.add(&self.rows[row]);
                 let mut negative = n.of_frame - u64::from(not_negative);
                 if is_negative_across {
                     negative += n.elsewhere;
@@ -218,10 +218,10 @@ impl<'a> Ranked<'a> {
         [self.tally.candidates.positive, self.tally.candidates.negative] = n_of_class;
     }
 
-    /// The keyframes at two places of the order: the query has the larger number.
+    /// Two keyframes: the query has the larger number.
     #[inline]
-    fn ends(&self, place: usize, other: usize) -> (&Row, &Row) {
-        let (a, b) = (&self.rows[place], &self.rows[other]);
+    fn ends(&self, row: usize, other: usize) -> (&Row, &Row) {
+        let (a, b) = (&self.rows[row], &self.rows[other]);
         if a.keyframe < b.keyframe { (b, a) } else { (a, b) }
     }
 
@@ -242,10 +242,10 @@ impl<'a> Ranked<'a> {
     /// The query and the reference of the candidate with a rank.
     pub(crate) fn candidate(&self, label: Label, rank: u64) -> Option<(usize, usize)> {
         let ranks = self.ranks(label);
-        let place = ranks.partition_point(|&first| first <= rank) - 1;
-        let at = Node::of_place(self.tree, place);
-        let mut left = rank - ranks[place];
-        let square = self.tree.square_of(place);
+        let row = ranks.partition_point(|&first| first <= rank) - 1;
+        let at = Node::of_row(self.tree, row);
+        let mut left = rank - ranks[row];
+        let square = self.tree.square_of(row);
         let found = match label {
             Label::Positive => {
                 let mut near: Vec<&Square> = self.tree.near(square).collect();
@@ -253,10 +253,10 @@ impl<'a> Ranked<'a> {
                 near.into_iter().find_map(|other| self.find(label, &at, &other.root, &mut left))
             }
             Label::Negative => {
-                let of_place = &self.tree.squares[square];
-                let site = self.rows[place].site;
+                let own = &self.tree.squares[square];
+                let site = self.rows[row].site;
                 self.tree.squares[..=square].iter().find_map(|other| {
-                    match (other.frame == of_place.frame, other.site) {
+                    match (other.frame == own.frame, other.site) {
                         (true, _) => self.find(label, &at, &other.root, &mut left),
                         (false, _) if !self.rules.options().cross_site_negatives => None,
                         (false, Some(same)) if same == site => None,
@@ -266,20 +266,20 @@ impl<'a> Ranked<'a> {
                 })
             }
         };
-        let (query, reference) = self.ends(place, found?);
+        let (query, reference) = self.ends(row, found?);
         Some((query.keyframe as usize, reference.keyframe as usize))
     }
 
-    /// The place of a candidate of the keyframe `at` in a node, if the node has it: of the candidates in the
+    /// The row of a candidate of the keyframe `at` in a node, if the node has it: of the candidates in the
     /// node, the one with `left` others before it. Otherwise `left` is lowered by their number.
     fn find(&self, label: Label, at: &Node, node: &Node, left: &mut u64) -> Option<usize> {
         let range = node.range();
-        let place = at.range().start;
-        if place <= range.start {
+        let row = at.range().start;
+        if row <= range.start {
             return None;
         }
         match (self.between(at, node), label) {
-            (Between::AllNegative, Label::Negative) if range.end <= place => {
+            (Between::AllNegative, Label::Negative) if range.end <= row => {
                 return skip(node, left);
             }
             (Between::AllNegative, Label::Positive) | (Between::AllAmbiguous, _) => return None,
@@ -293,9 +293,9 @@ impl<'a> Ranked<'a> {
 
     /// As `find`, but looks at each pair.
     fn search(&self, label: Label, at: &Node, node: &Node, left: &mut u64) -> Option<usize> {
-        let place = at.range().start;
-        for other in node.range().start..node.range().end.min(place) {
-            let (query, reference) = self.ends(place, other);
+        let row = at.range().start;
+        for other in node.range().start..node.range().end.min(row) {
+            let (query, reference) = self.ends(row, other);
             if matches!(self.rules.kind_of(query, reference), Kind::Labelled(of) if of == label) {
                 if *left == 0 {
                     return Some(other);
@@ -467,8 +467,8 @@ mod tests {
         let frames: Vec<u32> = rules.rows().iter().map(|row| row.frame).collect();
         let layer_m = options.max_height_difference_m;
         let squares = Squares::new(keyframes, &frames, options.place_m, layer_m);
-        let mut places = vec![0; keyframes.len()];
-        tree.keyframes.iter().enumerate().for_each(|(place, &k)| places[k as usize] = place);
+        let mut row_of = vec![0; keyframes.len()];
+        tree.keyframes.iter().enumerate().for_each(|(row, &k)| row_of[k as usize] = row);
         let mut tally = Tally::default();
         let mut expected = [BTreeSet::new(), BTreeSet::new()];
         for query in 0..keyframes.len() {
@@ -477,7 +477,7 @@ mod tests {
                 let kind = rules.kind_of(a, b);
                 tally.add(options, &kind, a, b);
                 if let Kind::Labelled(label) = kind {
-                    let (later, other) = (places[query], places[reference]);
+                    let (later, other) = (row_of[query], row_of[reference]);
                     let order = (later.max(other), later.min(other));
                     let of_label = &mut expected[usize::from(label == Label::Negative)];
                     of_label.insert((order, query, reference));

@@ -25,9 +25,9 @@ use crate::rules::Rules;
 /// Largest number of keyframes in a node without halves. Pairs of such nodes are compared one by one.
 const LEAF: usize = 32;
 
-/// Keyframes in candidate order.
+/// Keyframes in candidate order: a row is a keyframe's number in this order.
 pub(crate) struct Tree {
-    /// The keyframe at each place of the order, `(n_keyframes,)`.
+    /// The keyframe of each row, `(n_keyframes,)`.
     pub(crate) keyframes: Vec<u32>,
     /// Positions in this order \[m\], `(n_keyframes,)`.
     pub(crate) xs_m: Vec<f64>,
@@ -113,7 +113,7 @@ impl Tree {
         tree
     }
 
-    /// Sorts keyframes into a tree, and returns its root. `start` is the place of the first one.
+    /// Sorts keyframes into a tree, and returns its root. `start` is the row of the first one.
     fn add(&mut self, points: &mut [Point], start: u32) -> Node {
         let mut low_m = [f64::INFINITY; 2];
         let mut high_m = [f64::NEG_INFINITY; 2];
@@ -179,9 +179,9 @@ impl Tree {
         parts
     }
 
-    /// The number of the square of a place of the order.
-    pub(crate) fn square_of(&self, place: usize) -> usize {
-        self.squares.partition_point(|square| square.root.range().end <= place)
+    /// The number of the square of a row.
+    pub(crate) fn square_of(&self, row: usize) -> usize {
+        self.squares.partition_point(|square| square.root.range().end <= row)
     }
 }
 
@@ -195,9 +195,9 @@ impl Node {
     }
 
     /// The box around a single keyframe.
-    pub(crate) fn of_place(tree: &Tree, place: usize) -> Self {
-        let at = [tree.xs_m[place], tree.ys_m[place]];
-        let start = place as u32;
+    pub(crate) fn of_row(tree: &Tree, row: usize) -> Self {
+        let at = [tree.xs_m[row], tree.ys_m[row]];
+        let start = row as u32;
         Self { start, end: start + 1, low_m: at, high_m: at, halves: None }
     }
 
