@@ -106,7 +106,7 @@ pub fn assign_folds(
     if !(place_margin_m.is_finite() && 0.0 <= place_margin_m) {
         return Err(OutOfRange::new("evaluate.place_margin_m", place_margin_m, "0 or more").into());
     }
-    // The draw of the pairs kept those with the smallest keys, so the folds need other keys.
+    // Other numbers than those that the pairs are drawn by.
     let seed = seed ^ 0xF01D_5EED;
     let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
     let keys: Vec<u64> =

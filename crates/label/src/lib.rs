@@ -1,13 +1,11 @@
 //! `label`: keyframes -> labelled pairs ([`label`]) and folds for cross-validation
 //! ([`assign_folds`]).
 //!
-//! [`label`] visits each of the N (N - 1) / 2 pairs of keyframes once and decides whether it is
-//! positive, negative or ambiguous. From each class it draws a uniform sample without replacement,
-//! with a limited share from each place.
-//! The sample is a bottom-k sketch (Cohen and Kaplan, "Summarizing data using bottom-k sketches",
-//! PODC 2007): every pair gets a pseudo-random key from the seed and its two scans, and the pairs
-//! with the smallest keys are drawn. The draw depends neither on the order of the logs nor on the
-//! number of threads. Adding a log changes few of the drawn pairs.
+//! Each of the N (N - 1) / 2 pairs of keyframes is positive, negative or ambiguous. [`label`] counts them
+//! without visiting all of them (`candidates.rs`), and draws a uniform sample of each class without
+//! replacement, with a limited share from each place (`draw.rs`, `spread.rs`). Pairs are drawn by their rank
+//! in an order of the candidates (`tree.rs`). The draw depends neither on the order of the logs nor on the
+//! number of threads.
 //!
 //! ```
 //! use dataset::{Keyframe, Label, Pose2, ScanId};
