@@ -7,7 +7,8 @@
 //! `positive_radius_m`, in a plain grid with cells of this width. It only counts them: no rules, no negatives,
 //! no draw.
 //!
-//! `VmHWM` of Linux gives the memory of the whole benchmark up to each line, with the keyframes.
+//! CPU time and memory come from `/proc` of Linux. The memory is the largest one of the whole benchmark up to
+//! each line, with the keyframes.
 
 #![allow(clippy::print_stdout, reason = "a benchmark prints its results")]
 
@@ -31,21 +32,25 @@ fn main() {
     println!("{n} keyframes, {} threads", rayon::current_num_threads());
     for (name, world) in worlds.into_iter().filter(|(name, _)| !is_any_named || is_named(name)) {
         let keyframes = world(n);
-        println!("{name}: keyframes made, VmHWM {} MB", peak_mb());
+        println!("{name}: {} MB of memory with its keyframes", peak_mb());
         let options = label::Options::default();
-        let start = Instant::now();
-        let labelled = label::label(&options, SEED, &keyframes).expect("enough pairs");
-        let seconds = start.elapsed().as_secs_f64();
-        let label::Candidates { positive, negative, ambiguous, .. } = labelled.candidates;
-        println!(
-            "  label      {seconds:>7.2} s, VmHWM {} MB: {positive} positive, {negative} negative, {ambiguous} ambiguous",
-            peak_mb()
-        );
-        let start = Instant::now();
-        let n_close = bare_pass(&keyframes, options.positive_radius_m);
+        let (label::Labelled { candidates, .. }, time) =
+            timed(|| label::label(&options, SEED, &keyframes).expect("enough pairs"));
+        let label::Candidates { positive, negative, ambiguous, .. } = candidates;
+        println!("  {positive} positive, {negative} negative, {ambiguous} ambiguous");
+        println!("  label      {time}, {} MB", peak_mb());
+        let (n_close, time) = timed(|| bare_pass(&keyframes, options.positive_radius_m));
         assert_eq!(n_close, positive, "all close pairs are positive in these worlds");
-        println!("  bare pass  {:>7.2} s", start.elapsed().as_secs_f64());
+        println!("  bare pass  {time}");
     }
+}
+
+/// The result and the time of some work.
+fn timed<T>(work: impl FnOnce() -> T) -> (T, String) {
+    let (start, cpu_secs) = (Instant::now(), cpu_secs());
+    let result = work();
+    let secs = start.elapsed().as_secs_f64();
+    (result, format!("{secs:>6.2} s, {:>6.2} s of CPU time", self::cpu_secs() - cpu_secs))
 }
 
 type World = fn(usize) -> Vec<Keyframe>;
@@ -169,4 +174,16 @@ fn peak_mb() -> u64 {
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
     let kilobytes = line.and_then(|line| line.trim().trim_end_matches("kB").trim().parse().ok());
     kilobytes.map_or(0, |kilobytes: u64| kilobytes / 1000)
+}
+
+/// CPU time of all threads of this process \[s\]; 0 where it is not known. It has a resolution of 10 ms:
+/// `proc(5)` states `utime` and `stime`, the 14th and 15th field, in clock ticks, of which there are 100 per
+/// second on Linux.
+fn cpu_secs() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // The second field is the name of the program, in parentheses.
+    let after_name = stat.rsplit(')').next().unwrap_or_default();
+    let ticks =
+        after_name.split_whitespace().skip(11).take(2).filter_map(|n| n.parse::<f64>().ok());
+    ticks.sum::<f64>() / 100.0
 }

@@ -104,9 +104,10 @@ impl<'a> Ranked<'a> {
         if of_a.end <= of_b.start {
             return;
         }
+        // Boxes with keyframes in common are not apart: all of `b` is before `a` in the first two cases.
         match self.between(a, b) {
             Between::AllNegative => return,
-            Between::AllAmbiguous if of_b.end <= of_a.start => {
+            Between::AllAmbiguous => {
                 let rows = of_a.start - counted.start..of_a.end - counted.start;
                 for n in &mut counted.not_negative[rows] {
                     *n += b.len() as u32;
@@ -114,7 +115,7 @@ impl<'a> Ranked<'a> {
                 counted.tally.candidates.ambiguous += a.len() as u64 * b.len() as u64;
                 return;
             }
-            Between::AllAmbiguous | Between::Any => {}
+            Between::Any => {}
         }
         match (self.tree.halves(a), self.tree.halves(b)) {
             (Some(halves), other) if other.is_none() || b.len() <= a.len() => {
@@ -273,17 +274,13 @@ impl<'a> Ranked<'a> {
     /// The row of a candidate of the keyframe `at` in a node, if the node has it: of the candidates in the
     /// node, the one with `left` others before it. Otherwise `left` is lowered by their number.
     fn find(&self, label: Label, at: &Node, node: &Node, left: &mut u64) -> Option<usize> {
-        let range = node.range();
-        let row = at.range().start;
-        if row <= range.start {
+        if at.range().start <= node.range().start {
             return None;
         }
         match (self.between(at, node), label) {
-            (Between::AllNegative, Label::Negative) if range.end <= row => {
-                return skip(node, left);
-            }
+            (Between::AllNegative, Label::Negative) => return skip(node, left),
             (Between::AllNegative, Label::Positive) | (Between::AllAmbiguous, _) => return None,
-            (Between::AllNegative, Label::Negative) | (Between::Any, _) => {}
+            (Between::Any, _) => {}
         }
         match self.tree.halves(node) {
             Some(halves) => halves.into_iter().find_map(|half| self.find(label, at, half, left)),
