@@ -421,7 +421,7 @@ mod tests {
                 z_m: (0 < random.below(4)).then(|| 3.0 * random.below(floors) as f64),
                 segment: 0,
                 frame: if log == 1 { random.below(n_frames) as u32 } else { 0 },
-                map: (in_maps && log != 2).then(|| log as u32 % 2),
+                map: (in_maps && log != 2).then_some(log as u32 % 2),
                 travel_m: k as f64,
                 coverage_deg: one_of(random, &[180.0, 360.0, 360.0]),
             }
