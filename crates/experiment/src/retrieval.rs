@@ -1,6 +1,8 @@
 //! Retrieval at natural prevalence: all pairs of keyframes of a log are scored by classifiers that
 //! held out the folds of both keyframes.
 
+use std::collections::BTreeMap;
+
 use dataset::{Keyframe, Label, Note, NoteKind, Retrieval};
 use label::{Folds, Grouping, Rules};
 use rayon::prelude::*;
@@ -75,11 +77,13 @@ pub(crate) fn strictest(validation: &CrossValidation) -> Option<&GroupingResult>
 /// Indices of the keyframes of each log, in order along the path.
 fn by_log(keyframes: &[Keyframe]) -> Vec<Vec<usize>> {
     let mut logs: Vec<Vec<usize>> = Vec::new();
+    let mut numbers: BTreeMap<&str, usize> = BTreeMap::new();
     for (k, keyframe) in keyframes.iter().enumerate() {
-        match logs.iter_mut().find(|log| keyframes[log[0]].id.log == keyframe.id.log) {
-            Some(log) => log.push(k),
-            None => logs.push(vec![k]),
+        let number = *numbers.entry(&keyframe.id.log).or_insert(logs.len());
+        if number == logs.len() {
+            logs.push(Vec::new());
         }
+        logs[number].push(k);
     }
     logs
 }

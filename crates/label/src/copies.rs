@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 
 use dataset::{Keyframe, Note, NoteKind, Subject};
+use rayon::prelude::*;
 
 /// Least share of the keyframes of the shorter log that the longer one must also have. Two drives
 /// never have the same stamps and, to the last bit, the same poses, except where both stand still
@@ -12,16 +13,17 @@ const SHARED: f64 = 0.5;
 
 /// A warning for each two logs with the same scans at the same poses.
 pub(crate) fn notes(keyframes: &[Keyframe]) -> Vec<Note> {
-    type Moment = (i64, [u64; 3]);
-    let mut n_of_log: BTreeMap<&str, u64> = BTreeMap::new();
-    let mut by_moment: BTreeMap<Moment, Vec<&str>> = BTreeMap::new();
-    for Keyframe { id, stamp_ns, pose, .. } in keyframes {
-        *n_of_log.entry(&id.log).or_default() += 1;
-        let pose = [pose.x_m, pose.y_m, pose.heading_rad].map(f64::to_bits);
-        by_moment.entry((*stamp_ns, pose)).or_default().push(&id.log);
-    }
+    let moment = |k: &u32| {
+        let Keyframe { stamp_ns, pose, .. } = &keyframes[*k as usize];
+        (*stamp_ns, [pose.x_m, pose.y_m, pose.heading_rad].map(f64::to_bits))
+    };
+    let log_of = |k: &u32| &*keyframes[*k as usize].id.log;
+    let mut by_moment: Vec<u32> = (0..keyframes.len() as u32).collect();
+    by_moment.par_sort_unstable_by_key(moment);
     let mut n_shared: BTreeMap<[&str; 2], u64> = BTreeMap::new();
-    for mut logs in by_moment.into_values().filter(|logs| 1 < logs.len()) {
+    let at_once = by_moment.chunk_by(|a, b| moment(a) == moment(b));
+    for keyframes in at_once.filter(|keyframes| 1 < keyframes.len()) {
+        let mut logs: Vec<&str> = keyframes.iter().map(log_of).collect();
         logs.sort_unstable();
         logs.dedup();
         for (k, &first) in logs.iter().enumerate() {
@@ -29,6 +31,10 @@ pub(crate) fn notes(keyframes: &[Keyframe]) -> Vec<Note> {
                 *n_shared.entry([first, second]).or_default() += 1;
             }
         }
+    }
+    let mut n_of_log: BTreeMap<&str, u64> = BTreeMap::new();
+    for of_log in keyframes.chunk_by(|a, b| a.id.log == b.id.log) {
+        *n_of_log.entry(&of_log[0].id.log).or_default() += of_log.len() as u64;
     }
     let note = |([first, second], n_keyframes): ([&str; 2], u64)| {
         let shorter = n_of_log[first].min(n_of_log[second]);

@@ -7,11 +7,11 @@
 
 use std::collections::BTreeMap;
 
-use dataset::{Keyframe, Label, OutOfRange, Pair, common_frames};
+use dataset::{Keyframe, Label, OutOfRange, Pair, SplitMix64, common_frames};
 use serde::{Deserialize, Serialize};
 
 use crate::LabelError;
-use crate::draw::{keyframe_hash, name_hash, pair_key};
+use crate::draw::name_hash;
 
 /// What is kept in one fold and never split between training and test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -106,7 +106,7 @@ pub fn assign_folds(
     if !(place_margin_m.is_finite() && 0.0 <= place_margin_m) {
         return Err(OutOfRange::new("evaluate.place_margin_m", place_margin_m, "0 or more").into());
     }
-    // The draw of the pairs kept those with the smallest keys, so the folds need other keys.
+    // Other numbers than those that the pairs are drawn by.
     let seed = seed ^ 0xF01D_5EED;
     let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
     let keys: Vec<u64> =
@@ -300,4 +300,22 @@ impl Groups {
         }
         folds
     }
+}
+
+/// A keyframe's contribution to the keys of its pairs. It depends only on the seed and on the
+/// scan's log and number.
+fn keyframe_hash(seed: u64, keyframe: &Keyframe) -> u64 {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&seed.to_le_bytes());
+    hasher.update(&keyframe.id.scan.to_le_bytes());
+    hasher.update(keyframe.id.log.as_bytes());
+    let [a, b, c, d, e, f, g, h, ..] = *hasher.finalize().as_bytes();
+    u64::from_le_bytes([a, b, c, d, e, f, g, h])
+}
+
+/// The key of a pair, the first output of [`SplitMix64`] for the sum of both hashes. Exchanging `a`
+/// and `b` gives the same key.
+#[inline]
+fn pair_key(a: u64, b: u64) -> u64 {
+    SplitMix64::new(a.wrapping_add(b)).next_u64()
 }

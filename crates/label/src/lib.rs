@@ -1,13 +1,11 @@
 //! `label`: keyframes -> labelled pairs ([`label`]) and folds for cross-validation
 //! ([`assign_folds`]).
 //!
-//! [`label`] visits each of the N (N - 1) / 2 pairs of keyframes once and decides whether it is
-//! positive, negative or ambiguous. From each class it draws a uniform sample without replacement,
-//! with a limited share from each place.
-//! The sample is a bottom-k sketch (Cohen and Kaplan, "Summarizing data using bottom-k sketches",
-//! PODC 2007): every pair gets a pseudo-random key from the seed and its two scans, and the pairs
-//! with the smallest keys are drawn. The draw depends neither on the order of the logs nor on the
-//! number of threads. Adding a log changes few of the drawn pairs.
+//! Each of the N (N - 1) / 2 pairs of keyframes is positive, negative or ambiguous. [`label`] counts them
+//! without visiting all of them (`candidates.rs`), and draws a uniform sample of each class without
+//! replacement, with a limited share from each place (`draw.rs`, `spread.rs`). Pairs are drawn by their rank
+//! in an order of the candidates (`tree.rs`). The draw depends neither on the order of the logs nor on the
+//! number of threads.
 //!
 //! ```
 //! use dataset::{Keyframe, Label, Pose2, ScanId};
@@ -39,15 +37,18 @@
 //! # Ok::<(), label::LabelError>(())
 //! ```
 
+mod candidates;
 mod copies;
 mod draw;
 mod folds;
+mod names;
 mod options;
 mod rules;
 mod spread;
+mod tree;
 mod uncertainty;
 
-use dataset::{Keyframe, Label, Note, NoteKind, OutOfRange, Pair, Squares};
+use dataset::{Keyframe, Label, Note, NoteKind, OutOfRange, Pair};
 use rayon::prelude::*;
 
 pub use folds::{FoldOptions, Folds, Grouping, assign_folds};
@@ -55,9 +56,10 @@ pub use options::Options;
 pub use rules::{Candidates, Rules};
 pub use uncertainty::{ALIGNMENT_STD_M, Measurement, PoseGraph, Vertex};
 
-use draw::{Draw, keyframe_hash, pair_key};
-use rules::{Heights, Kind, Tally, travel_gap_m};
-use spread::Candidate;
+use candidates::Ranked;
+use rules::Heights;
+use spread::Class;
+use tree::{Square, Tree};
 
 /// Labelled pairs, and how they were selected.
 #[derive(Debug, Clone, PartialEq)]
@@ -168,41 +170,25 @@ fn draw(
     seed: u64,
     keyframes: &[Keyframe],
 ) -> Result<Labelled, LabelError> {
-    let hashes: Vec<u64> = keyframes.iter().map(|k| keyframe_hash(seed, k)).collect();
-    let wanted = options.pairs_per_class;
-    let start = || (Tally::default(), Draw::new(wanted), Draw::new(wanted));
-
-    let (tally, positive, negative) = (0..keyframes.len())
-        .into_par_iter()
-        .fold(start, |(mut tally, mut positive, mut negative), query| {
-            for reference in 0..query {
-                let key = || (pair_key(hashes[query], hashes[reference]), query, reference);
-                let kind = rules.kind(query, reference);
-                tally.add(rules, &kind, query, reference);
-                match kind {
-                    Kind::Labelled(Label::Positive) => positive.offer(key()),
-                    Kind::Labelled(Label::Negative) => negative.offer(key()),
-                    _ => {}
-                }
-            }
-            (tally, positive, negative)
-        })
-        .reduce(start, |a, b| (a.0.plus(b.0), a.1.union(b.1), a.2.union(b.2)));
-
-    let candidates = tally.candidates;
+    let tree = Tree::new(rules, keyframes);
+    let ranked = Ranked::new(rules, &tree);
+    let candidates = ranked.tally.candidates;
     check_enough(options, keyframes, candidates)?;
-    let (width_m, layer_m) = (options.place_m, options.max_height_difference_m);
-    let squares = Squares::new(keyframes, rules.frames(), width_m, layer_m);
-    let of_all = Candidate { rules, hashes: &hashes, squares: &squares };
-    let mut pairs: Vec<Pair> = Vec::with_capacity(2 * wanted);
+    let mut pairs: Vec<Pair> = Vec::with_capacity(2 * options.pairs_per_class);
     let mut notes = Vec::new();
-    for (label, drawn) in [(Label::Positive, positive), (Label::Negative, negative)] {
-        let spread = spread::limit(&of_all, options, keyframes, label, drawn.into_pairs());
-        pairs.extend(spread.pairs.into_iter().map(|ends| pair(rules, keyframes, label, ends)));
+    for label in [Label::Positive, Label::Negative] {
+        let first =
+            |square: &Square| &keyframes[tree.keyframes[square.root.range().start] as usize];
+        let places = tree.squares.iter().map(first).collect();
+        let class = Class { label, firsts: ranked.of_squares(label), keyframes: places };
+        let spread = class.draw(options, seed);
+        let drawn = spread.ranks.into_par_iter();
+        let drawn = drawn.filter_map(|rank| ranked.candidate(label, rank));
+        pairs.par_extend(drawn.map(|ends| pair(rules, keyframes, label, ends)));
         notes.extend(spread.note);
     }
     pairs.sort_by_key(|pair| (pair.query, pair.reference));
-    notes.extend(height_note(options, candidates, tally.heights));
+    notes.extend(height_note(options, candidates, ranked.tally.heights));
     notes.extend(frame_note(candidates));
     notes.extend(copies::notes(keyframes));
     Ok(Labelled { pairs, candidates, notes })
@@ -223,7 +209,7 @@ fn pair(
         distance_m: if shares_frame { a.pose.distance_m(&b.pose) } else { f64::INFINITY },
         distance_std_m: None,
         heading_difference_rad: shares_frame.then(|| a.pose.heading_difference_rad(&b.pose)),
-        travel_gap_m: travel_gap_m(a, b),
+        travel_gap_m: rules.travel_gap_m(query, reference),
     }
 }
 

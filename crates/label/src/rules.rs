@@ -1,24 +1,38 @@
 //! Whether two keyframes are a positive or a negative pair, or none.
 
-use std::sync::Arc;
-
-use dataset::{FULL_RING_DEG, Keyframe, Label, NEIGHBOUR_GAP_M, common_frames};
+use dataset::{FULL_RING_DEG, Keyframe, Label, NEIGHBOUR_GAP_M, Pose2, common_frames};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::Options;
+use crate::names::numbers;
 use crate::uncertainty::PoseGraph;
 
 /// The label rules for the keyframes of a run.
 #[derive(Debug, Clone)]
 pub struct Rules<'a> {
     options: &'a Options,
-    keyframes: &'a [Keyframe],
-    /// The frame of each keyframe, see [`common_frames`].
-    frames: Vec<u32>,
+    /// What the rules compare of each keyframe, `(n_keyframes,)`.
+    rows: Vec<Row>,
     /// The pairs whose label the poses cannot decide: for each query a bit per reference,
     /// `(n_keyframes, n / 64)`. Empty if the uncertainty of the distances is not known.
     undecided: Vec<Vec<u64>>,
+}
+
+/// What the rules compare of a keyframe. It is small, because millions of them are compared.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Row {
+    pub(crate) pose: Pose2,
+    z_m: Option<f64>,
+    travel_m: f64,
+    coverage_deg: f32,
+    /// The number of the keyframe.
+    pub(crate) keyframe: u32,
+    /// The frame of its pose, see [`common_frames`].
+    pub(crate) frame: u32,
+    /// Its site and its log, numbered in order of their names.
+    pub(crate) site: u32,
+    pub(crate) log: u32,
 }
 
 /// The label of a pair is decided if its distance is farther from the radius than so many standard
@@ -39,36 +53,47 @@ pub(crate) enum Kind {
 
 impl<'a> Rules<'a> {
     /// The rules of some options. The options must be in range.
-    pub fn new(options: &'a Options, keyframes: &'a [Keyframe]) -> Self {
-        Self { options, keyframes, frames: common_frames(keyframes), undecided: Vec::new() }
+    pub fn new(options: &'a Options, keyframes: &[Keyframe]) -> Self {
+        let frames = common_frames(keyframes);
+        let sites = numbers(keyframes.iter().map(|keyframe| &keyframe.site));
+        let logs = numbers(keyframes.iter().map(|keyframe| &keyframe.id.log));
+        let row = |(k, keyframe): (usize, &Keyframe)| Row {
+            pose: keyframe.pose,
+            z_m: keyframe.z_m,
+            travel_m: keyframe.travel_m,
+            coverage_deg: keyframe.coverage_deg,
+            keyframe: k as u32,
+            frame: frames[k],
+            site: sites[k],
+            log: logs[k],
+        };
+        let rows = keyframes.iter().enumerate().map(row).collect();
+        Self { options, rows, undecided: Vec::new() }
     }
 
     /// As [`Rules::new`], but a pair has a label only if its distance is clearly within the positive radius, or
     /// clearly beyond the negative one: by [`DECIDED_STDS`] standard deviations.
     pub(crate) fn with_graph(
         options: &'a Options,
-        keyframes: &'a [Keyframe],
+        keyframes: &[Keyframe],
         graph: &PoseGraph,
     ) -> Self {
         let rules = Self::new(options, keyframes);
-        let undecided =
-            (0..keyframes.len()).into_par_iter().map(|query| rules.undecided(graph, query));
-        let undecided = undecided.collect();
+        let bits = |query| rules.undecided(keyframes, graph, query);
+        let undecided = (0..keyframes.len()).into_par_iter().map(bits).collect();
         Self { undecided, ..rules }
     }
 
     /// The bits of the references whose label the graph cannot decide.
-    fn undecided(&self, graph: &PoseGraph, query: usize) -> Vec<u64> {
+    fn undecided(&self, keyframes: &[Keyframe], graph: &PoseGraph, query: usize) -> Vec<u64> {
         let mut bits = vec![0; query.div_ceil(64)];
-        for (reference, std_m) in
-            graph.distance_stds_m(self.keyframes, query).into_iter().enumerate()
-        {
+        for (reference, std_m) in graph.distance_stds_m(keyframes, query).into_iter().enumerate() {
             let Some(std_m) = std_m.filter(|_| self.shares_frame(query, reference)) else {
                 continue;
             };
-            let [a, b] = [query, reference].map(|k| &self.keyframes[k].pose);
-            let distance_m = a.distance_m(b);
-            let margin_m = match self.kind_by_distance(query, reference) {
+            let [a, b] = [query, reference].map(|k| &self.rows[k]);
+            let distance_m = a.pose.distance_m(&b.pose);
+            let margin_m = match self.kind_by_distance(a, b) {
                 Kind::Labelled(Label::Negative) => distance_m - self.options.negative_min_m,
                 Kind::Labelled(Label::Positive) | Kind::ShortTravelGap => {
                     self.options.positive_radius_m - distance_m
@@ -104,29 +129,51 @@ impl<'a> Rules<'a> {
 
     /// Whether the poses of two keyframes can be compared.
     pub fn shares_frame(&self, query: usize, reference: usize) -> bool {
-        self.frames[query] == self.frames[reference]
+        self.rows[query].frame == self.rows[reference].frame
     }
 
-    /// The frame of each keyframe, `(n_keyframes,)`.
-    pub(crate) fn frames(&self) -> &[u32] {
-        &self.frames
+    /// Path length between two keyframes \[m\]; infinite for keyframes of two logs.
+    pub(crate) fn travel_gap_m(&self, query: usize, reference: usize) -> f64 {
+        self.rows[query].travel_gap_m(&self.rows[reference])
     }
 
+    pub(crate) fn options(&self) -> &'a Options {
+        self.options
+    }
+
+    /// Whether all distances count as exact.
+    pub(crate) fn is_exact(&self) -> bool {
+        self.undecided.is_empty()
+    }
+
+    /// What the rules compare of each keyframe, `(n_keyframes,)`.
+    pub(crate) fn rows(&self) -> &[Row] {
+        &self.rows
+    }
+
+    fn kind(&self, query: usize, reference: usize) -> Kind {
+        self.kind_of(&self.rows[query], &self.rows[reference])
+    }
+
+    /// The kind of a pair. The query has the larger number.
     #[inline]
-    pub(crate) fn kind(&self, query: usize, reference: usize) -> Kind {
+    pub(crate) fn kind_of(&self, query: &Row, reference: &Row) -> Kind {
         match self.kind_by_distance(query, reference) {
-            Kind::Labelled(label) if self.is_undecided(query, reference) => Kind::Undecided(label),
+            Kind::Labelled(label)
+                if self.is_undecided(query.keyframe as usize, reference.keyframe as usize) =>
+            {
+                Kind::Undecided(label)
+            }
             kind => kind,
         }
     }
 
     /// The kind of a pair with a distance that is exact.
     #[inline]
-    fn kind_by_distance(&self, query: usize, reference: usize) -> Kind {
-        let Self { options, keyframes, frames, .. } = self;
-        let (a, b) = (&keyframes[query], &keyframes[reference]);
-        if frames[query] != frames[reference] {
-            return if same_name(&a.site, &b.site) {
+    fn kind_by_distance(&self, a: &Row, b: &Row) -> Kind {
+        let options = self.options;
+        if a.frame != b.frame {
+            return if a.site == b.site {
                 Kind::OtherFrame
             } else if options.cross_site_negatives {
                 Kind::Labelled(Label::Negative)
@@ -145,9 +192,9 @@ impl<'a> Rules<'a> {
                     <= options.positive_heading_deg.to_radians());
         if !near {
             Kind::Ambiguous
-        } else if height_difference_m(a, b).is_some_and(|m| options.max_height_difference_m < m) {
+        } else if a.height_difference_m(b).is_some_and(|m| options.max_height_difference_m < m) {
             Kind::OtherHeight
-        } else if travel_gap_m(a, b) < options.min_travel_gap_m {
+        } else if a.travel_gap_m(b) < options.min_travel_gap_m {
             Kind::ShortTravelGap
         } else {
             Kind::Labelled(Label::Positive)
@@ -206,14 +253,14 @@ impl Candidates {
 
 /// The number of pairs of each kind, and what the heights of pairs that are close in the plane
 /// look like.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Tally {
     pub(crate) candidates: Candidates,
     pub(crate) heights: Heights,
 }
 
 /// Pairs that are close in the plane and have a height.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Heights {
     /// Positives with a height difference of more than half the limit.
     pub(crate) upper_half: u64,
@@ -225,7 +272,7 @@ pub(crate) struct Heights {
 
 impl Tally {
     #[inline]
-    pub(crate) fn add(&mut self, rules: &Rules<'_>, kind: &Kind, query: usize, reference: usize) {
+    pub(crate) fn add(&mut self, options: &Options, kind: &Kind, a: &Row, b: &Row) {
         let of = &mut self.candidates;
         let count = match kind {
             Kind::Labelled(Label::Positive) => &mut of.positive,
@@ -240,15 +287,13 @@ impl Tally {
         };
         *count += 1;
         if matches!(kind, Kind::Labelled(Label::Positive) | Kind::OtherHeight) {
-            self.add_height(rules, query, reference);
+            self.add_height(options.max_height_difference_m, a, b);
         }
     }
 
-    fn add_height(&mut self, rules: &Rules<'_>, query: usize, reference: usize) {
-        let (a, b) = (&rules.keyframes[query], &rules.keyframes[reference]);
-        let Some(difference_m) = height_difference_m(a, b) else { return };
-        let limit_m = rules.options.max_height_difference_m;
-        let is_revisit = NEIGHBOUR_GAP_M <= travel_gap_m(a, b);
+    fn add_height(&mut self, limit_m: f64, a: &Row, b: &Row) {
+        let Some(difference_m) = a.height_difference_m(b) else { return };
+        let is_revisit = NEIGHBOUR_GAP_M <= a.travel_gap_m(b);
         let heights = &mut self.heights;
         if limit_m < difference_m {
             heights.revisits_left_out += u64::from(is_revisit);
@@ -282,17 +327,14 @@ impl Tally {
     }
 }
 
-/// Difference between the heights \[m\]; `None` if one of them is not known.
-fn height_difference_m(a: &Keyframe, b: &Keyframe) -> Option<f64> {
-    Some((a.z_m? - b.z_m?).abs())
-}
+impl Row {
+    /// Difference between the heights \[m\]; `None` if one of them is not known.
+    fn height_difference_m(&self, other: &Self) -> Option<f64> {
+        Some((self.z_m? - other.z_m?).abs())
+    }
 
-/// Path length between two keyframes \[m\]; infinite for keyframes of two logs.
-pub(crate) fn travel_gap_m(a: &Keyframe, b: &Keyframe) -> f64 {
-    if same_name(&a.id.log, &b.id.log) { (a.travel_m - b.travel_m).abs() } else { f64::INFINITY }
-}
-
-/// Compares two shared names; equal pointers save comparing the text.
-fn same_name(a: &Arc<str>, b: &Arc<str>) -> bool {
-    Arc::ptr_eq(a, b) || a == b
+    /// Path length between two keyframes \[m\]; infinite for keyframes of two logs.
+    pub(crate) fn travel_gap_m(&self, other: &Self) -> f64 {
+        if self.log == other.log { (self.travel_m - other.travel_m).abs() } else { f64::INFINITY }
+    }
 }

@@ -1,25 +1,24 @@
 //! The spread of the drawn pairs over the ground: no place gets more than its share.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use dataset::{Keyframe, Label, Note, NoteKind, Squares};
-use rayon::prelude::*;
+use dataset::{Keyframe, Label, Note, NoteKind, SplitMix64};
 
 use crate::Options;
-use crate::draw::{CappedDraw, pair_key};
-use crate::rules::{Kind, Rules};
+use crate::draw::{draw, name_hash, place_of};
 
-/// The pairs that can be drawn.
-pub(crate) struct Candidate<'a> {
-    pub(crate) rules: &'a Rules<'a>,
-    /// The part of each keyframe in the keys of its pairs, `(n_keyframes,)`.
-    pub(crate) hashes: &'a [u64],
-    pub(crate) squares: &'a Squares,
+/// The candidates of a class that pairs are drawn from.
+pub(crate) struct Class<'a> {
+    pub(crate) label: Label,
+    /// The rank of the first candidate of each place, and the number of candidates, `(n_places + 1,)`.
+    pub(crate) firsts: Vec<u64>,
+    /// A keyframe of each place, `(n_places,)`.
+    pub(crate) keyframes: Vec<&'a Keyframe>,
 }
 
-/// The drawn pairs of a class.
+/// The drawn candidates of a class.
 pub(crate) struct Spread {
-    pub(crate) pairs: Vec<(usize, usize)>,
+    pub(crate) ranks: BTreeSet<u64>,
     /// How the limit changed the draw.
     pub(crate) note: Option<Note>,
 }
@@ -29,68 +28,82 @@ pub(crate) struct Spread {
 /// with up to 0.4 of them at one place, which is normal.
 const DOMINANT: f64 = 0.5;
 
-/// Limits the share of each place. `drawn` are the pairs of the class that are drawn without a
-/// limit; if no place has too many of them, they are the result. The class must have enough
-/// candidates.
-pub(crate) fn limit(
-    all: &Candidate<'_>,
-    options: &Options,
-    keyframes: &[Keyframe],
-    label: Label,
-    drawn: Vec<(usize, usize)>,
-) -> Spread {
-    let wanted = options.pairs_per_class;
-    let cap = cap(options.max_place_share, wanted);
-    let (place, n_without) = most(all.squares, &drawn);
-    if n_without <= cap {
-        return Spread { pairs: drawn, note: None };
-    }
-    let class = match label {
-        Label::Positive => "positive",
-        Label::Negative => "negative",
-    };
-    let limited = |cap: usize| -> Note {
-        let (site, x_m, y_m) = centre(options, keyframes, all.squares, place);
-        let kind = NoteKind::PlaceShareLimited {
+impl Class<'_> {
+    /// Draws pairs with a limited share of each place. The class must have enough candidates.
+    pub(crate) fn draw(&self, options: &Options, seed: u64) -> Spread {
+        let wanted = options.pairs_per_class;
+        let class = match self.label {
+            Label::Positive => "positive",
+            Label::Negative => "negative",
+        };
+        let ranks = |cap: usize| {
+            let state = name_hash(seed, &[b"draw", class.as_bytes()]);
+            draw(&mut SplitMix64::new(state), wanted, cap, &self.firsts)
+        };
+        let cap = cap(options.max_place_share, wanted);
+        let free = ranks(wanted);
+        let (place, n_without) = self.most(&free);
+        if n_without <= cap {
+            return Spread { ranks: free, note: None };
+        }
+        let counts: Vec<u64> = self.firsts.windows(2).map(|ends| ends[1] - ends[0]).collect();
+        let limited = |cap: usize| {
+            let (site, x_m, y_m) = self.centre(options, place);
+            Note::from(NoteKind::PlaceShareLimited {
+                class: class.to_owned(),
+                n_pairs: wanted as u64,
+                n_limit: cap as u64,
+                n_without: n_without as u64,
+                place_m: options.place_m,
+                site,
+                x_m,
+                y_m,
+            })
+        };
+        if wanted as u64 <= available(&counts, cap) {
+            return Spread { ranks: ranks(cap), note: Some(limited(cap)) };
+        }
+        let raised = least_cap(&counts, wanted);
+        let drawn = ranks(raised);
+        let (place, n_largest) = self.most(&drawn);
+        let is_dominant = DOMINANT * (wanted as f64) < n_largest as f64;
+        // Negatives are far apart: a small site has them only between its ends.
+        if self.label == Label::Negative || !is_dominant {
+            let note = (raised < n_without).then(|| limited(raised));
+            return Spread { ranks: drawn, note };
+        }
+        let (site, x_m, y_m) = self.centre(options, place);
+        let kind = NoteKind::FewPlaces {
             class: class.to_owned(),
             n_pairs: wanted as u64,
             n_limit: cap as u64,
-            n_without: n_without as u64,
+            n_largest: n_largest as u64,
+            n_places: counts.iter().filter(|&&n| 0 < n).count() as u64,
+            n_enough: largest_draw(&counts, options.max_place_share, wanted) as u64,
             place_m: options.place_m,
             site,
             x_m,
             y_m,
         };
-        kind.into()
-    };
-    let pairs = all.draw(label, wanted, cap);
-    if pairs.len() == wanted {
-        return Spread { pairs, note: Some(limited(cap)) };
+        Spread { ranks: drawn, note: Some(kind.into()) }
     }
-    let counts = all.counts(label);
-    let raised = least_cap(&counts, wanted);
-    let pairs = all.draw(label, wanted, raised);
-    let (place, n_largest) = most(all.squares, &pairs);
-    let is_dominant = DOMINANT * (wanted as f64) < n_largest as f64;
-    // Negatives are far apart: a small site has them only between its ends.
-    if label == Label::Negative || !is_dominant {
-        let note = (raised < n_without).then(|| limited(raised));
-        return Spread { pairs, note };
+
+    /// The place with the most of these candidates, and their number.
+    fn most(&self, ranks: &BTreeSet<u64>) -> (usize, usize) {
+        let mut n_of_place: BTreeMap<usize, usize> = BTreeMap::new();
+        for &rank in ranks {
+            *n_of_place.entry(place_of(&self.firsts, rank)).or_default() += 1;
+        }
+        let most = n_of_place.into_iter().max_by_key(|&(place, n)| (n, std::cmp::Reverse(place)));
+        most.unwrap_or_default()
     }
-    let (site, x_m, y_m) = centre(options, keyframes, all.squares, place);
-    let kind = NoteKind::FewPlaces {
-        class: class.to_owned(),
-        n_pairs: wanted as u64,
-        n_limit: cap as u64,
-        n_largest: n_largest as u64,
-        n_places: counts.iter().filter(|&&n| 0 < n).count() as u64,
-        n_enough: largest_draw(&counts, options.max_place_share, wanted) as u64,
-        place_m: options.place_m,
-        site,
-        x_m,
-        y_m,
-    };
-    Spread { pairs, note: Some(kind.into()) }
+
+    /// The site and the centre of a place \[m\].
+    fn centre(&self, options: &Options, place: usize) -> (String, f64, f64) {
+        let Keyframe { site, pose, .. } = self.keyframes[place];
+        let middle = |metres: f64| ((metres / options.place_m).floor() + 0.5) * options.place_m;
+        (site.to_string(), middle(pose.x_m), middle(pose.y_m))
+    }
 }
 
 /// The largest number of pairs from one place.
@@ -115,68 +128,6 @@ fn largest_draw(counts: &[u64], max_place_share: f64, wanted: usize) -> usize {
 
 fn available(counts: &[u64], cap: usize) -> u64 {
     counts.iter().map(|&n| n.min(cap as u64)).sum()
-}
-
-/// The place with the most pairs, and their number.
-fn most(squares: &Squares, pairs: &[(usize, usize)]) -> (u32, usize) {
-    let mut n_of_place: BTreeMap<u32, usize> = BTreeMap::new();
-    for &(query, reference) in pairs {
-        *n_of_place.entry(squares.of_pair(query, reference)).or_default() += 1;
-    }
-    let most = n_of_place.into_iter().max_by_key(|&(place, n)| (n, std::cmp::Reverse(place)));
-    most.unwrap_or_default()
-}
-
-/// The site and the centre of a place \[m\].
-fn centre(
-    options: &Options,
-    keyframes: &[Keyframe],
-    squares: &Squares,
-    place: u32,
-) -> (String, f64, f64) {
-    let found = squares.of_keyframes.iter().position(|&of| of == place);
-    let Some(keyframe) = found.map(|k| &keyframes[k]) else { return (String::new(), 0.0, 0.0) };
-    let middle = |metres: f64| ((metres / options.place_m).floor() + 0.5) * options.place_m;
-    (keyframe.site.to_string(), middle(keyframe.pose.x_m), middle(keyframe.pose.y_m))
-}
-
-impl Candidate<'_> {
-    /// Draws up to `wanted` pairs of a class, with at most `cap` from each place.
-    fn draw(&self, label: Label, wanted: usize, cap: usize) -> Vec<(usize, usize)> {
-        let start = || CappedDraw::new(wanted, cap, self.squares);
-        (0..self.hashes.len())
-            .into_par_iter()
-            .fold(start, |mut draw, query| {
-                for reference in self.references(label, query) {
-                    let key = pair_key(self.hashes[query], self.hashes[reference]);
-                    draw.offer((key, query, reference));
-                }
-                draw
-            })
-            .reduce(start, CappedDraw::union)
-            .into_pairs()
-    }
-
-    /// Number of candidates of a class in each place, `(n_squares,)`.
-    fn counts(&self, label: Label) -> Vec<u64> {
-        let start = || vec![0; self.squares.sizes.len()];
-        (0..self.hashes.len())
-            .into_par_iter()
-            .fold(start, |mut counts: Vec<u64>, query| {
-                for reference in self.references(label, query) {
-                    counts[self.squares.of_pair(query, reference) as usize] += 1;
-                }
-                counts
-            })
-            .reduce(start, |a, b| a.iter().zip(b).map(|(a, b)| a + b).collect())
-    }
-
-    /// The keyframes before this one that form a pair of a class with it.
-    fn references(&self, label: Label, query: usize) -> impl Iterator<Item = usize> {
-        (0..query).filter(move |&reference| {
-            matches!(self.rules.kind(query, reference), Kind::Labelled(of) if of == label)
-        })
-    }
 }
 
 #[cfg(test)]

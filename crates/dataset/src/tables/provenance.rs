@@ -6,7 +6,7 @@ use serde_json::Value;
 use crate::{Losses, Note};
 
 /// Version of the table formats. Tables of other versions cannot be read.
-pub const FORMAT_VERSION: u32 = 6;
+pub const FORMAT_VERSION: u32 = 7;
 
 /// The origin of a table. It is stored in the key-value metadata of the table.
 ///

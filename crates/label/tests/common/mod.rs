@@ -21,6 +21,7 @@ pub fn at(log: &str, scan: u32, x_m: f64, y_m: f64) -> Keyframe {
 }
 
 /// Full-circle scans of one log along x.
+#[allow(dead_code, reason = "not every test file needs a line")]
 pub fn line(xs_m: &[f64]) -> Vec<Keyframe> {
     xs_m.iter().zip(0..).map(|(&x_m, scan)| at("a", scan, x_m, 0.0)).collect()
 }

@@ -16,7 +16,7 @@ use crate::summary::Summary;
 
 /// Version of the layout of `run.json`. A file of another version is not read, and every stage runs
 /// again.
-const FORMAT_VERSION: u32 = 5;
+const FORMAT_VERSION: u32 = 6;
 
 /// The tasks of a run folder, by name ("ingest monday", "label").
 #[derive(Debug, Default, Serialize, Deserialize)]
