@@ -327,7 +327,11 @@ impl PipelineArgs {
         match self.out {
             Some(out) if !self.print_config => {
                 let run = Run::new(config, out, mode, strict, model)?;
-                stage(&run).map_err(|error| Failure { before: run.findings_so_far(), error })
+                let done = stage(&run);
+                // Also after an error: the tasks before it are done.
+                let saved = run.finish();
+                done.and_then(|findings| saved.map(|()| findings))
+                    .map_err(|error| Failure { before: run.findings_so_far(), error })
             }
             _ => {
                 out!("{}", config.to_toml()?.trim_end());

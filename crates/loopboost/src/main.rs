@@ -38,6 +38,7 @@ mod map_files;
 mod map_run;
 mod models;
 mod other_run;
+mod partitions;
 mod pipeline;
 mod plot;
 mod pose_choice;
@@ -53,7 +54,9 @@ mod stage;
 mod stages;
 mod suggest;
 mod summary;
+mod transient;
 mod trial;
+mod usage;
 mod used_model;
 mod view;
 

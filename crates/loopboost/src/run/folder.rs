@@ -1,5 +1,6 @@
 //! The run folder: its lock, and files that an interrupted run left half written.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -14,13 +15,14 @@ use crate::stage::Artifact;
 /// ```text
 /// <folder>/
 ///   run.json                     what was made from what (see `manifest`)
+///   run.journal                  the same, while a command runs
 ///   logs/<log>.mcap              simulated logs
-///   scans/<log>.parquet          poses/<log>.parquet
-///   keyframes.parquet            pairs.parquet
-///   features.parquet             feature_stability.parquet
+///   scans/<log>.parquet          poses/<log>.parquet      keyframes/<log>.parquet
+///   features/<log>.parquet       feature_stability.parquet
+///   pairs.parquet
 ///   scores.parquet               rounds.parquet           retrieval.parquet  grid.parquet
 ///   feature_usefulness.parquet
-///   registered/<log>.parquet     odometry.parquet         candidates.parquet
+///   registered/<log>.parquet     odometry/<log>.parquet   candidates.parquet
 ///   closures.parquet             trajectory.parquet       graph.parquet      graph.g2o
 ///   trajectory/<log>.parquet     trajectory/<log>.tum     truth/<log>.parquet
 ///   models/<name>/<version>/     model.json, card.md
@@ -99,18 +101,10 @@ fn lock(folder: &Path) -> Result<File> {
 
 /// Removes files that an interrupted run left half written, only in folders that a run writes to.
 fn remove_partial_files(folder: &Path) -> Result<()> {
-    for pattern in [
-        ".*",
-        "logs/.*",
-        "scans/.*",
-        "poses/.*",
-        "truth/.*",
-        "registered/.*",
-        "trajectory/.*",
-        "evaluation/.*",
-        "evaluation/figures/.*",
-        "models/*/*/.*",
-    ] {
+    let of_logs = Artifact::ALL.into_iter().filter_map(Artifact::folder);
+    let of_logs: BTreeSet<String> = of_logs.map(|folder| format!("{folder}/**/.*")).collect();
+    let others = [".*", "evaluation/.*", "evaluation/figures/.*", "models/*/*/.*"];
+    for pattern in others.into_iter().chain(of_logs.iter().map(String::as_str)) {
         let pattern = format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()));
         for path in glob::glob(&pattern).into_iter().flatten().flatten() {
             if is_partial(&path) && path.is_file() {
