@@ -77,9 +77,14 @@ impl Stage {
     pub(crate) const USE_MODEL: [Self; 4] =
         [Self::Register, Self::Detect, Self::Optimize, Self::Evaluate];
 
-    /// Whether the results depend on the seed. Those of a single log do not, so that they are the same in every run.
-    pub(crate) fn draws(self) -> bool {
-        !matches!(self, Self::Ingest | Self::Subsample | Self::Featurize | Self::Register)
+    /// The stages that work log by log. Their results do not depend on the seed or on other logs, so that they are the
+    /// same in every run.
+    pub(crate) const OF_LOGS: [Self; 4] =
+        [Self::Ingest, Self::Subsample, Self::Featurize, Self::Register];
+
+    /// Whether this stage works log by log.
+    pub(crate) fn is_of_logs(self) -> bool {
+        Self::OF_LOGS.contains(&self)
     }
 
     /// What this stage is.

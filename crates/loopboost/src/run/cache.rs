@@ -22,19 +22,21 @@ impl Run {
             .collect::<Result<BTreeMap<_, _>>>()?;
         Ok(Provenance {
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
-            seed: task.stage.draws().then_some(self.config.seed),
+            seed: (!task.stage.is_of_logs()).then_some(self.config.seed),
             options: self.options_of(task.stage, task.log.as_deref(), task.only)?,
             inputs,
             ..Provenance::default()
         })
     }
 
-    fn options_of(
+    /// The options that the results of a stage depend on.
+    pub(crate) fn options_of(
         &self,
         stage: Stage,
         log: Option<&str>,
         only: Option<Artifact>,
     ) -> Result<serde_json::Value> {
+        let log = log.filter(|_| stage.is_of_logs());
         // A list of all logs for each of them would take quadratic time.
         let all = if log.is_none() { self.ingested_logs()? } else { Vec::new() };
         let logs: Vec<&str> = all.iter().map(|log| &*log.name).chain(log).collect();
