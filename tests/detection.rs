@@ -112,7 +112,7 @@ fn check_trajectory(out: &Path, log: &str) {
         let heading_rad = 2.0 * number(6).atan2(number(7));
         assert!(dataset::wrap_angle(heading_rad - pose.pose.heading_rad).abs() < 1e-9, "{line}");
     }
-    let keyframes = support::keyframes(&out);
+    let keyframes = support::keyframes(out);
     let (optimized, _) = read_trajectory(&out.join("trajectory.parquet")).unwrap();
     assert!(keyframes.iter().map(|k| &k.id).eq(optimized.iter().map(|k| &k.id)));
     let (registered, _) = read_registered(&out.join(format!("registered/{log}.parquet"))).unwrap();

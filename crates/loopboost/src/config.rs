@@ -248,6 +248,23 @@ impl Config {
         Ok(files)
     }
 
+    /// Whether the poses of a log are those of a finished run.
+    pub(crate) fn uses_pose_run(&self) -> Result<bool> {
+        let runs = |pose: Option<PoseOptions>| pose.is_some_and(|pose| pose.run.is_some());
+        for log in self.ingest.log.keys() {
+            if runs(self.for_log(log)?.pose) {
+                return Ok(true);
+            }
+        }
+        Ok(runs(self.ingest.pose.clone()))
+    }
+
+    /// The pipeline of [`Config::to_toml`], as if its file were in this folder.
+    pub(crate) fn from_toml(text: &str, folder: PathBuf) -> Result<Self> {
+        let config: Self = toml::from_str(text).context("cannot read the options as TOML")?;
+        Ok(Self { folder, ..config })
+    }
+
     /// Resolves a path in the pipeline file, which is relative to the file.
     pub(crate) fn beside_pipeline(&self, path: &str) -> PathBuf {
         self.folder.join(path)

@@ -20,6 +20,7 @@ mod disagreement;
 mod drives;
 mod findings;
 mod fit_detector;
+mod fleet;
 mod found_drives;
 mod georeference;
 mod goal;
@@ -70,6 +71,7 @@ use dataset::tables::TableError;
 use cli::Cli;
 use config::UsageError;
 use findings::Failure;
+use fleet::{Conflict, is_storage_trouble};
 use stage::Artifact;
 
 /// Exit code: done, and nothing needs attention.
@@ -81,11 +83,17 @@ const USAGE: u8 = 2;
 /// Exit code: done, but data was left out or a warning needs attention.
 const NEEDS_ATTENTION: u8 = 3;
 
+/// Exit code of `task`: another attempt had another result (EX_SOFTWARE of sysexits.h).
+const CONFLICT: u8 = 70;
+/// Exit code of `task`: trouble with storage or inputs, another attempt may succeed (EX_TEMPFAIL of sysexits.h).
+const TRY_AGAIN: u8 = 75;
+
 /// The only place that turns an outcome into an exit code.
 fn main() -> ExitCode {
     // `loopboost lineage X | head` ends quietly, as other programs do.
     sigpipe::reset();
     let cli = Cli::parse();
+    let is_task = cli.is_task();
     let code = match cli.execute() {
         Ok(findings) => {
             for line in findings.lines() {
@@ -121,7 +129,12 @@ fn main() -> ExitCode {
             for line in warnings {
                 eprintln!("{line}");
             }
-            if error.is::<UsageError>() { USAGE } else { FAILED }
+            match (error.is::<UsageError>(), is_task) {
+                (true, _) => USAGE,
+                (_, true) if error.is::<Conflict>() => CONFLICT,
+                (_, true) if is_storage_trouble(&error) => TRY_AGAIN,
+                _ => FAILED,
+            }
         }
     };
     ExitCode::from(code)

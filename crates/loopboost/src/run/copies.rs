@@ -54,7 +54,7 @@ impl Run {
 
     /// The copies among the logs of this run, each with the log that is used instead. `run.json` may
     /// list others, which the pipeline does not name any more.
-    pub(super) fn copies(&self) -> Result<BTreeMap<String, String>> {
+    pub(crate) fn copies(&self) -> Result<BTreeMap<String, String>> {
         let logs = self.logs()?;
         let is_log = |name: &String| logs.iter().any(|log| *log.name == **name);
         let copies = self.manifest.borrow().copies.clone();

@@ -31,6 +31,8 @@ use crate::stage::Artifact;
 /// ```
 pub(crate) struct RunFolder {
     pub(super) root: PathBuf,
+    /// The run folder that the results are for, if `root` is a temporary folder.
+    pub(super) target: Option<PathBuf>,
     /// The runs whose maps are used.
     pub(super) other_runs: Vec<OtherRun>,
     /// Held for the lifetime of this value; the system releases it when the process ends.
@@ -40,15 +42,20 @@ pub(crate) struct RunFolder {
 impl RunFolder {
     /// Locks a run folder for writing and removes half-written files. Creates the folder if it is
     /// missing; fails if another process has locked it.
-    pub(super) fn lock(root: PathBuf) -> Result<Self> {
+    pub(crate) fn lock(root: PathBuf) -> Result<Self> {
         let lock = lock(&root)?;
         remove_partial_files(&root)?;
-        Ok(Self { root, other_runs: Vec::new(), _lock: Some(lock) })
+        Ok(Self { root, target: None, other_runs: Vec::new(), _lock: Some(lock) })
     }
 
     /// A run folder that nothing is written to.
     pub(super) fn read_only(root: PathBuf) -> Self {
-        Self { root, other_runs: Vec::new(), _lock: None }
+        Self { root, target: None, other_runs: Vec::new(), _lock: None }
+    }
+
+    /// A temporary folder, for results that go to a run folder later.
+    pub(super) fn scratch(root: PathBuf, target: PathBuf) -> Self {
+        Self { target: Some(target), ..Self::read_only(root) }
     }
 
     /// A path in the run folder.
@@ -72,7 +79,9 @@ impl RunFolder {
         if let Some(name) = of_other_run.filter_map(|run| run.name_of(path)).next() {
             return name;
         }
-        let name = path.strip_prefix(&self.root).ok().or(path.file_name().map(Path::new));
+        let mut folders = [Some(&self.root), self.target.as_ref()].into_iter().flatten();
+        let within = folders.find_map(|folder| path.strip_prefix(folder).ok());
+        let name = within.or(path.file_name().map(Path::new));
         name.unwrap_or(path).to_string_lossy().into_owned()
     }
 }

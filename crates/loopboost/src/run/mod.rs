@@ -3,6 +3,7 @@
 mod cache;
 mod copies;
 mod folder;
+mod log_tasks;
 mod manifest;
 mod plan;
 mod progress;
@@ -29,11 +30,12 @@ use crate::summary::Summary;
 use crate::used_model::UsedModel;
 
 pub(crate) use cache::missing_log;
-pub(crate) use manifest::{Manifest, changed_values, changes};
+pub(crate) use folder::RunFolder;
+pub(crate) use log_tasks::LogTasks;
+pub(crate) use manifest::{Manifest, Record, changed_values, changes};
 pub(crate) use progress::progress_bar;
 
-use folder::RunFolder;
-use manifest::{Change, Record};
+use manifest::Change;
 
 /// A pipeline file and the folder for its artifacts.
 pub(crate) struct Run {
