@@ -5,14 +5,14 @@ use std::path::Path;
 use std::process::Command;
 
 use dataset::tables::{
-    Provenance, read_closures, read_keyframes, read_poses, write_closures, write_pairs, write_poses,
+    Provenance, read_closures, read_poses, write_closures, write_pairs, write_poses,
 };
 use dataset::{Label, Pair, Pose2, StampedPose, Trajectory};
 use serde_json::Value;
 
 use crate::detection::{new_drive, run_stages};
 use crate::require::python_with;
-use crate::support::{Finished, Workplace, loopboost_with_threads, root};
+use crate::support::{self, Finished, Workplace, loopboost_with_threads, root};
 
 /// Compares two run folders.
 fn compare(workplace: &Workplace, a: &str, b: &str, more: &[&str]) -> Finished {
@@ -76,7 +76,7 @@ fn poses(run: &Path) -> Vec<StampedPose> {
 
 /// Labels the first keyframe and each of the next ones as the same place, except one.
 fn write_labels(run: &Path, negative: usize) {
-    let (keyframes, _) = read_keyframes(&run.join("keyframes.parquet")).unwrap();
+    let keyframes = support::keyframes(run);
     let pair = |query| Pair {
         query,
         reference: 0,

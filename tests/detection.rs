@@ -6,13 +6,12 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{
-    read_closures, read_features, read_pairs, read_poses, read_registered, read_table,
-    read_trajectory,
+    read_closures, read_pairs, read_poses, read_registered, read_table, read_trajectory,
 };
-use dataset::tables::{read_keyframes, scans::read_scan_headers};
 
-use crate::support::{Workplace, loopboost};
+use crate::support::{self, Workplace, loopboost};
 
 /// A drive around one building and past its start again.
 const LAP: &str = r#"
@@ -113,7 +112,7 @@ fn check_trajectory(out: &Path, log: &str) {
         let heading_rad = 2.0 * number(6).atan2(number(7));
         assert!(dataset::wrap_angle(heading_rad - pose.pose.heading_rad).abs() < 1e-9, "{line}");
     }
-    let (keyframes, _) = read_keyframes(&out.join("keyframes.parquet")).unwrap();
+    let keyframes = support::keyframes(out);
     let (optimized, _) = read_trajectory(&out.join("trajectory.parquet")).unwrap();
     assert!(keyframes.iter().map(|k| &k.id).eq(optimized.iter().map(|k| &k.id)));
     let (registered, _) = read_registered(&out.join(format!("registered/{log}.parquet"))).unwrap();
@@ -191,7 +190,7 @@ fn a_trained_model_finds_the_closures_of_a_new_drive_and_no_false_ones() {
     workplace.command("detect", "without", &without).expect(0);
     let (closures, _) = read_closures(&workplace.path("without/closures.parquet")).unwrap();
     assert!(closures.iter().all(|closure| closure.closure.classifier.is_none()));
-    assert!(!workplace.path("without/features.parquet").exists());
+    assert!(!workplace.path("without/features").exists());
 }
 
 #[test]
@@ -308,9 +307,9 @@ fn score_gives_the_confidence_of_the_model_for_pairs_of_a_run() {
     // The pairs of the run, and their confidences from the features of the run.
     let printed = score("out/pairs.parquet", &[]).expect(0).stdout;
     let loaded = model::load(Path::new(&model)).unwrap();
-    let (keyframes, _) = read_keyframes(&workplace.path("out/keyframes.parquet")).unwrap();
+    let keyframes = support::keyframes(&workplace.path("out"));
     let (pairs, _) = read_pairs(&workplace.path("out/pairs.parquet"), &keyframes).unwrap();
-    let (features, _) = read_features(&workplace.path("out/features.parquet")).unwrap();
+    let features = support::features(&workplace.path("out"));
     let mut lines = printed.lines();
     let header = "query_log,query_scan,reference_log,reference_scan,confidence,label";
     assert_eq!(lines.next(), Some(header));

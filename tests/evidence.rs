@@ -3,11 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use dataset::Keyframe;
-use dataset::tables::{
-    read_grid, read_keyframes, read_pairs, read_retrieval, read_rounds, read_scores,
-};
+use dataset::tables::{read_grid, read_pairs, read_retrieval, read_rounds, read_scores};
 
-use crate::support::Workplace;
+use crate::support::{self, Workplace};
 
 const PIPELINE: &str = r#"
 name = "drive"
@@ -49,7 +47,7 @@ fn folds_do_not_split_scans_or_places_and_each_pair_is_scored_once() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "out", &[]).expect(0);
     let out = |name: &str| workplace.path("out").join(name);
-    let (keyframes, _) = read_keyframes(&out("keyframes.parquet")).unwrap();
+    let keyframes = support::keyframes(&out(""));
     let (pairs, _) = read_pairs(&out("pairs.parquet"), &keyframes).unwrap();
     let (scores, _) = read_scores(&out("scores.parquet"), &pairs).unwrap();
     let blocks: BTreeSet<_> = scores.iter().map(|s| (&*s.learner, &*s.grouping)).collect();
@@ -95,7 +93,7 @@ fn retrieval_counts_all_pairs_of_a_log_by_the_label_rules() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "out", &["--set", "evaluate.min_separation_m=12.5"]).expect(0);
     let out = |name: &str| workplace.path("out").join(name);
-    let (keyframes, _) = read_keyframes(&out("keyframes.parquet")).unwrap();
+    let keyframes = support::keyframes(&out(""));
     let (rows, _) = read_retrieval(&out("retrieval.parquet")).unwrap();
     // 3 learners (k-NN is too slow), 2 logs and both together, ambiguous pairs excluded or not.
     assert_eq!(rows.len(), 3 * 3 * 2);

@@ -5,10 +5,10 @@ use std::f64::consts::PI;
 use std::fs;
 
 use dataset::Label;
-use dataset::tables::{read_keyframes, read_pairs};
+use dataset::tables::read_pairs;
 
 use crate::made::{Message, Schema, log};
-use crate::support::Workplace;
+use crate::support::{self, Workplace};
 use crate::wire::{Encoding, RosMessage};
 
 const SIMULATED: &str = r#"
@@ -163,7 +163,7 @@ fn workplace(logs: &[(&str, &[[f64; 3]])]) -> Workplace {
 
 /// The positive pairs of a run with the heights of both scans \[m\] and the path between them \[m\].
 fn positives(workplace: &Workplace) -> Vec<([f64; 2], f64)> {
-    let (keyframes, _) = read_keyframes(&workplace.path("out/keyframes.parquet")).unwrap();
+    let keyframes = support::keyframes(&workplace.path("out"));
     let (pairs, _) = read_pairs(&workplace.path("out/pairs.parquet"), &keyframes).unwrap();
     let height = |k: usize| keyframes[k].z_m.expect("a height");
     let positives = pairs.iter().filter(|pair| pair.label == Label::Positive);

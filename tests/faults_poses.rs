@@ -4,11 +4,11 @@
 use std::fs;
 
 use dataset::Trajectory;
-use dataset::tables::{read_keyframes, read_poses};
+use dataset::tables::read_poses;
 use serde_json::json;
 
 use crate::made::{Message, Schema, log};
-use crate::support::{Finished, Workplace};
+use crate::support::{self, Finished, Workplace};
 use crate::wire::{Encoding, RosMessage};
 
 const START_NS: i64 = 1_700_000_000_000_000_000;
@@ -158,8 +158,7 @@ fn a_jump_of_a_slow_robot_splits_the_trajectory() {
         assert_eq!(ingested.trajectory().frame_id(), Some("map"));
         let finished = ingested.workplace.command("subsample", "out", &[]).expect(3);
         finished.says(&["1 scan between two segments"]);
-        let (keyframes, _) =
-            read_keyframes(&ingested.workplace.path("out/keyframes.parquet")).unwrap();
+        let keyframes = support::keyframes(&ingested.workplace.path("out"));
         let last = keyframes.last().unwrap();
         assert_eq!((last.segment, last.frame), (1, 1));
         // 39.8 s at 0.8 m/s are 31.84 m.

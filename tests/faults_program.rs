@@ -305,19 +305,19 @@ fn a_table_that_was_altered_is_refused_by_the_next_stage() {
     workplace.command("subsample", "out", &[]).expect(0);
     workplace.command("label", "out", &[]).expect(0);
     // Another valid table, with the same provenance.
-    let keyframes = workplace.path("out/keyframes.parquet");
+    let keyframes = workplace.path("out/keyframes/good.parquet");
     let set = ["--set", "subsample.spacing_m=0.5", "--set", "seed=7"];
     workplace.command("ingest", "other", &set).expect(0);
     workplace.command("subsample", "other", &set).expect(0);
-    let mut bytes = fs::read(workplace.path("other/keyframes.parquet")).unwrap();
+    let mut bytes = fs::read(workplace.path("other/keyframes/good.parquet")).unwrap();
     assert_eq!(bytes, fs::read(&keyframes).unwrap());
     let place = bytes.len() / 2;
     bytes[place] ^= 1;
     fs::write(&keyframes, bytes).unwrap();
-    workplace
-        .command("label", "out", &[])
-        .expect(1)
-        .says(&["keyframes.parquet was altered after `subsample` wrote it", "loopboost subsample"]);
+    workplace.command("label", "out", &[]).expect(1).says(&[
+        "keyframes/good.parquet was altered after `subsample` wrote it",
+        "loopboost subsample",
+    ]);
     workplace.command("subsample", "out", &[]).expect(0);
     workplace.command("label", "out", &[]).expect(0);
 }
@@ -328,8 +328,9 @@ fn wrong_command_lines_and_pipelines_exit_with_2() {
     workplace.command("simulate", "out", &[]).expect(2).says(&["no [simulate] section"]);
     fs::create_dir(workplace.path("logs/more")).unwrap();
     fs::write(workplace.path("logs/more/good.mcap"), good()).unwrap();
-    let finished = workplace.command("ingest", "out", &[]).expect(2);
-    finished.says(&["two logs are named `good`", "logs/good.mcap and ", "logs/more/good.mcap"]);
+    let entries = ["--set", "ingest.logs=['logs/good.mcap', 'logs/good.mcap']"];
+    let finished = workplace.command("ingest", "out", &entries).expect(2);
+    finished.says(&["two logs are named `logs/good`", "logs/good.mcap and ", "rename one"]);
 }
 
 /// All stamps of the poses are 0. The log times show that the robot moves, and the pipeline uses them.

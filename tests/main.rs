@@ -20,6 +20,7 @@ mod faults_poses;
 mod faults_program;
 mod faults_scans;
 mod faults_wheels;
+mod fleet;
 mod import;
 mod locate;
 mod made;

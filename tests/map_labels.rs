@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::sync::OnceLock;
 
-use dataset::tables::{read_graph, read_keyframes, read_pairs, read_poses, read_trajectory};
+use dataset::tables::{read_graph, read_pairs, read_poses, read_trajectory};
 use dataset::{Keyframe, Label, Pair};
 
 use crate::detection::new_drive;
-use crate::support::{Workplace, loopboost};
+use crate::support::{self, Workplace, loopboost};
 
 const RADIUS_M: f64 = 1.5;
 const NEGATIVE_M: f64 = 30.0;
@@ -69,12 +69,11 @@ fn with_map() -> Workplace {
 fn a_run_without_learners_only_finds_closures() {
     let has = |name: &str| map().contains_key(name);
     assert!(has("closures.parquet") && has("trajectory.parquet") && has("report.html"));
-    assert!(!has("pairs.parquet") && !has("features.parquet") && !has("scores.parquet"));
+    assert!(!has("pairs.parquet") && !has("features/friday.parquet") && !has("scores.parquet"));
 }
 
 fn pairs_of(workplace: &Workplace, out: &str) -> (Vec<Keyframe>, Vec<Pair>) {
-    let (keyframes, _) =
-        read_keyframes(&workplace.path(&format!("{out}/keyframes.parquet"))).unwrap();
+    let keyframes = support::keyframes(&workplace.path(out));
     let (pairs, _) =
         read_pairs(&workplace.path(&format!("{out}/pairs.parquet")), &keyframes).unwrap();
     (keyframes, pairs)

@@ -93,7 +93,7 @@ fn everything_that_the_page_on_poses_names_exists() {
     workplace.command("simulate", "out", &[]).expect(0);
     workplace.command("ingest", "out", &[]).expect(0);
     workplace.command("subsample", "out", &[]).expect(0);
-    for table in ["poses/one.parquet", "keyframes.parquet"] {
+    for table in ["poses/one.parquet", "keyframes/one.parquet"] {
         let file = fs::File::open(workplace.path("out").join(table)).unwrap();
         let reader =
             parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder::try_new(file).unwrap();

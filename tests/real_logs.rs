@@ -6,12 +6,12 @@ use std::path::Path;
 use std::process::Command;
 
 use dataset::tables::TableError;
+use dataset::tables::read_pairs;
 use dataset::tables::scans::read_scans;
-use dataset::tables::{read_keyframes, read_pairs};
 use dataset::{Label, Scan, StampedPose, Trajectory};
 
 use crate::require::{python_with, shared_data};
-use crate::support::{Workplace, drift, loopboost_with_threads, root};
+use crate::support::{self, Workplace, drift, loopboost_with_threads, root};
 
 /// Real paths through real floor plans, seen by a simulated HDL-32E.
 pub const DRIVES: [&str; 3] =
@@ -42,7 +42,7 @@ fn killian_gives_the_2436_pairs() {
     }
 
     let out = workplace.path("one");
-    let (keyframes, _) = read_keyframes(&out.join("keyframes.parquet")).unwrap();
+    let keyframes = support::keyframes(&out);
     let (pairs, _) = read_pairs(&out.join("pairs.parquet"), &keyframes).unwrap();
     let count = |label| pairs.iter().filter(|pair| pair.label == label).count();
     assert_eq!((count(Label::Positive), count(Label::Negative)), (1218, 1218));
@@ -158,7 +158,7 @@ fn the_planar_pipeline_runs_and_reports_dropped_scans() {
         "scans before the first pose",
         "scans after the last pose",
     ]);
-    let (keyframes, _) = read_keyframes(&out.join("keyframes.parquet")).unwrap();
+    let keyframes = support::keyframes(&out);
     let (pairs, _) = read_pairs(&out.join("pairs.parquet"), &keyframes).unwrap();
     assert_eq!(pairs.len(), 2436);
     for pair in pairs.iter().filter(|pair| pair.label == Label::Positive) {

@@ -41,7 +41,7 @@ fn done(finished: &Finished) -> Vec<String> {
             let mut words = line.split_whitespace();
             let stage = words.next().unwrap_or_default();
             match stage {
-                "simulate" | "ingest" => {
+                "simulate" | "ingest" | "subsample" | "featurize" => {
                     format!("{stage} {}", words.next().unwrap_or_default().trim_end_matches(':'))
                 }
                 _ => stage.to_owned(),
@@ -56,7 +56,7 @@ fn done(finished: &Finished) -> Vec<String> {
 fn only_tasks_with_changes_run_again() {
     let workplace = Workplace::new(PIPELINE);
     let run = |more: &[&str]| workplace.command("run", "out", more).expect(0);
-    assert_eq!(done(&run(&[])).len(), 9);
+    assert_eq!(done(&run(&[])).len(), 11);
     let first = workplace.files("out");
     assert_eq!(done(&run(&[])), [""; 0], "nothing has changed");
 
@@ -76,9 +76,9 @@ fn only_tasks_with_changes_run_again() {
 
     // Files that were changed or removed by hand are made again. Later tasks do not run if the new
     // files equal the old ones.
-    fs::remove_file(workplace.path("out/features.parquet")).unwrap();
+    fs::remove_file(workplace.path("out/features/there.parquet")).unwrap();
     fs::write(workplace.path("out/poses/back.parquet"), b"spoiled").unwrap();
-    assert_eq!(done(&run(&[])), ["ingest back", "featurize"]);
+    assert_eq!(done(&run(&[])), ["ingest back", "featurize there"]);
     assert_eq!(done(&run(&["--force", "label"])), ["label"]);
 }
 
@@ -99,7 +99,7 @@ fn a_log_added_is_the_only_one_ingested() {
     let after = workplace.command("run", "out", &["--set", "label.pairs_per_class=20"]).expect(0);
     assert_eq!(
         done(&after),
-        ["ingest back", "subsample", "label", "featurize", "train", "evaluate"]
+        ["ingest back", "subsample back", "label", "featurize back", "train", "evaluate"]
     );
 }
 
@@ -120,7 +120,8 @@ fn a_dry_run_shows_what_would_run_and_why_without_running_it() {
     for line in [
         "label                    would run: positive_radius_m: 1.5 -> 2.0",
         "featurize                would run: forced",
-        "train                    would run if its inputs change: pairs.parquet may change, features.parquet may change, feature_stability.parquet may change",
+        "train                    would run if its inputs change: pairs.parquet may change, features/there.parquet may change, features/back.parquet may change, feature_stability.parquet may change",
+        "subsample there          up to date",
         "subsample                up to date",
     ] {
         assert!(printed.contains(line), "`{line}` is not in:\n{printed}");
@@ -260,7 +261,7 @@ fn lineage_and_verify_show_the_sources_and_the_changes_of_files() {
     assert!(verify().expect(0).stdout.contains(" 0 problems"));
     for artifact in [&model, &out.join("report.html"), &out.join("evaluation/errors.parquet")] {
         let printed = loopboost(&["lineage", artifact.to_str().unwrap()]).expect(0).stdout;
-        for name in ["keyframes.parquet", "scans/there.parquet", "logs/back.mcap", "seed 7"] {
+        for name in ["keyframes/back.parquet", "scans/there.parquet", "logs/back.mcap", "seed 7"] {
             assert!(printed.contains(name), "{name} is not in:\n{printed}");
         }
     }

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use dataset::Label;
-use dataset::tables::{read_features, read_keyframes, read_pairs, read_poses};
+use dataset::tables::{read_pairs, read_poses};
+use dataset::{Label, ScanId};
 
-use crate::support::{Workplace, loopboost, root};
+use crate::support::{self, Workplace, loopboost, root};
 
 const PIPELINE: &str = r#"
 name = "drive"
@@ -42,9 +42,10 @@ fn the_bytes_depend_on_the_seed_and_not_on_the_threads_or_the_commands() {
         "logs/there.mcap",
         "scans/there.parquet",
         "poses/back.parquet",
-        "keyframes.parquet",
+        "keyframes/there.parquet",
+        "keyframes/back.parquet",
         "pairs.parquet",
-        "features.parquet",
+        "features/there.parquet",
         "feature_stability.parquet",
         "scores.parquet",
         "rounds.parquet",
@@ -104,10 +105,11 @@ fn pairs_obey_the_label_rules() {
     let workplace = Workplace::new(PIPELINE);
     workplace.command("run", "out", &["--set", "label.min_travel_gap_m=5"]).expect(0);
     let out = |name: &str| workplace.path("out").join(name);
-    let (keyframes, _) = read_keyframes(&out("keyframes.parquet")).unwrap();
+    let keyframes = support::keyframes(&out(""));
     let (pairs, provenance) = read_pairs(&out("pairs.parquet"), &keyframes).unwrap();
     assert_eq!(provenance.options["min_travel_gap_m"], 5.0);
-    assert_eq!(provenance.inputs.keys().collect::<Vec<_>>(), ["keyframes.parquet"]);
+    let inputs: Vec<_> = provenance.inputs.keys().collect();
+    assert_eq!(inputs, ["keyframes/back.parquet", "keyframes/there.parquet"]);
     let count = |label| pairs.iter().filter(|pair| pair.label == label).count();
     assert_eq!((count(Label::Positive), count(Label::Negative)), (150, 150));
     let unique: BTreeSet<_> = pairs.iter().map(|pair| (pair.query, pair.reference)).collect();
@@ -123,7 +125,10 @@ fn pairs_obey_the_label_rules() {
         trajectory.pose_at(keyframe.stamp_ns, i64::MAX).unwrap()
     };
     for pair in &pairs {
-        assert!(pair.reference < pair.query);
+        // The query is of the later log, or later in its log.
+        let [query, reference] = [pair.query, pair.reference].map(|k| &keyframes[k].id);
+        let order = |id: &ScanId| (&*id.log != "there", keyframes.iter().position(|k| k.id == *id));
+        assert!(order(reference) < order(query));
         let distance_m = position(pair.query).distance_m(&position(pair.reference));
         assert!((distance_m - pair.distance_m).abs() < 1e-9);
         match pair.label {
@@ -142,7 +147,7 @@ fn pairs_obey_the_label_rules() {
             assert!((step[1].travel_m - step[0].travel_m - moved_m).abs() < 1e-9);
         }
     }
-    let (features, _) = read_features(&out("features.parquet")).unwrap();
+    let features = support::features(&out(""));
     assert_eq!((features.names.len(), features.ids.len()), (16, keyframes.len()));
     assert!(features.values.iter().all(|value| value.is_finite()));
 }

@@ -5,7 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use dataset::Trajectory;
+use dataset::tables::{FeatureTable, read_features, read_keyframes};
+use dataset::{Keyframe, Trajectory};
 
 /// The root of the repository.
 pub fn root() -> PathBuf {
@@ -107,6 +108,32 @@ impl Finished {
         }
         self
     }
+}
+
+/// The tables of a folder with one table per log, sorted by name.
+fn tables(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
+    let mut tables: Vec<PathBuf> = entries.map(|entry| entry.expect("an entry").path()).collect();
+    tables.sort();
+    tables
+}
+
+/// The keyframes of a run, log by log, in the order of their names.
+pub fn keyframes(run: &Path) -> Vec<Keyframe> {
+    let tables = tables(&run.join("keyframes"));
+    tables.iter().flat_map(|path| read_keyframes(path).expect("keyframes").0).collect()
+}
+
+/// The features of a run, in the same order.
+pub fn features(run: &Path) -> FeatureTable {
+    let mut all = FeatureTable::default();
+    for path in tables(&run.join("features")) {
+        let (of_log, _) = read_features(&path).expect("features");
+        all.names = of_log.names;
+        all.ids.extend(of_log.ids);
+        all.values.extend(of_log.values);
+    }
+    all
 }
 
 /// The distance between the last poses, if the first ones are laid over each other, and the length

@@ -16,7 +16,7 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import LinearSVC
 
 folder = sys.argv[1]
-features = pd.read_parquet(f"{folder}/features.parquet").set_index(["log", "scan"])
+features = pd.read_parquet(f"{folder}/features").set_index(["log", "scan"])
 scores = pd.read_parquet(f"{folder}/scores.parquet")
 for learner, tolerance in [("knn", 1e-9), ("svm", 1e-4)]:
     rows = scores[(scores.learner == learner) & (scores.grouping == "pair")]

@@ -190,7 +190,7 @@ def result(folder, join_ns):
     candidates = pq.read_table(folder / "candidates.parquet").to_pylist()
     accepted = [c for c in pq.read_table(folder / "closures.parquet").to_pylist() if c["accepted"]]
     (of_log,) = measures(folder).values()
-    poses = [pq.read_table(folder / f"{name}.parquet") for name in ("odometry", "trajectory")]
+    poses = [pq.read_table(folder / name) for name in ("odometry", "trajectory.parquet")]
     return {
         "candidates": len(candidates),
         "wrong": of_log.get("candidates_false", 0) + sum(map(is_wrong, candidates)),

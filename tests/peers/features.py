@@ -1,6 +1,6 @@
 """Computes the features of scans with numpy, from the formulas in docs/features.md.
 
-usage: features.py RUN_FOLDER                      compares the features.parquet of a run
+usage: features.py RUN_FOLDER                      compares the features of a run
        features.py --time SET N_SCANS N_RETURNS    prints the seconds per scan
 
 A scan is x and y in firing order and the covered angle [deg]. The script shares no code with the
@@ -191,7 +191,7 @@ SETS = {"paper16": paper16, "campus": campus}
 def compare(folder):
     import pyarrow.parquet as pq
 
-    table = pq.read_table(f"{folder}/features.parquet")
+    table = pq.read_table(f"{folder}/features")
     names = table.column_names[2:]
     features = SETS["paper16" if len(names) == 16 else "campus"]
     ours = np.column_stack([table[name].to_numpy() for name in names])

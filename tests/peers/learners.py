@@ -151,7 +151,7 @@ LEARNERS = {
 def compare(folder, most=50):
     import pandas as pd
 
-    features = pd.read_parquet(f"{folder}/features.parquet").set_index(["log", "scan"])
+    features = pd.read_parquet(f"{folder}/features").set_index(["log", "scan"])
     pairs = pd.read_parquet(f"{folder}/pairs.parquet")
     of = lambda side: features.loc[list(zip(pairs[f"{side}_log"], pairs[f"{side}_scan"]))].to_numpy()
     X, y, names = np.abs(of("query") - of("reference")), pairs.label.to_numpy(), list(features.columns)

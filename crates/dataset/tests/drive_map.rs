@@ -16,7 +16,7 @@ use dataset::{
 
 fn provenance() -> Provenance {
     let inputs = [("scans/a.parquet".to_owned(), "00ff".to_owned())].into();
-    Provenance { program_version: "0.1.0".into(), seed: 7, inputs, ..Provenance::default() }
+    Provenance { program_version: "0.1.0".into(), seed: Some(7), inputs, ..Provenance::default() }
 }
 
 fn id(log: &str, scan: u32) -> ScanId {

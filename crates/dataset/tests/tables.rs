@@ -22,7 +22,7 @@ use dataset::{
 fn provenance() -> Provenance {
     Provenance {
         program_version: "0.1.0".into(),
-        seed: 2436,
+        seed: Some(2436),
         options: serde_json::json!({"spacing_m": 0.5}),
         inputs: [("a.mcap".to_owned(), "00ff".to_owned())].into(),
         ..Provenance::default()

@@ -120,7 +120,7 @@ fn scan(pose: Pose2) -> Scan {
 fn provenance() -> Provenance {
     Provenance {
         program_version: "1.2.3".to_owned(),
-        seed: 1,
+        seed: Some(1),
         options: serde_json::Value::Null,
         inputs: std::collections::BTreeMap::new(),
         losses: Losses::default(),

@@ -11,7 +11,7 @@ use dataset::{Scan, Unusable};
 
 use crate::lanes::{count, deviations, fill, sums};
 
-/// Names, in order; the columns of `features.parquet`.
+/// Names, in order; the columns of `features/<log>.parquet`.
 pub const PAPER16_NAMES: [&str; 16] = [
     "centroid",
     "close_area",

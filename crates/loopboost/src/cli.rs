@@ -8,6 +8,7 @@ use evaluate::comparison::Comparison;
 
 use crate::config::{Config, usage};
 use crate::findings::{Failure, Findings};
+use crate::fleet::{GcArgs, MergeArgs, PlanArgs, TaskArgs};
 use crate::import::ImportArgs;
 use crate::inspect::InspectArgs;
 use crate::locate::LocateArgs;
@@ -51,6 +52,15 @@ enum Command {
     },
     #[command(flatten)]
     Stage(StageCommand),
+    /// Plan the work on single logs for `task`, on one or many machines; prints the name of the plan
+    Plan(PlanArgs),
+    /// Do the work on one log of a plan; exit codes: 0 done, 2 wrong plan or command line, 70 another attempt had another
+    /// result, 75 trouble with storage or inputs (try again)
+    Task(TaskArgs),
+    /// Make the tables and run.json of a run folder from the results of all tasks of a plan
+    Merge(MergeArgs),
+    /// Remove files in a run folder that no plan and no task needs any more
+    Gc(GcArgs),
     /// Describe a log, report problems in it, and suggest a pipeline file
     Inspect(InspectArgs),
     /// Convert a recording of another format to an MCAP log
@@ -244,6 +254,11 @@ struct PipelineArgs {
 }
 
 impl Cli {
+    /// Whether the command is `task`, which has exit codes of its own for batch systems.
+    pub(crate) fn is_task(&self) -> bool {
+        matches!(self.command, Command::Task(_))
+    }
+
     /// Does what was asked. Returns losses and notes.
     pub(crate) fn execute(self) -> Result<Findings, Failure> {
         match self.command {
@@ -274,6 +289,10 @@ impl Command {
     fn execute(self) -> Result<Findings> {
         match self {
             Self::Run { .. } | Self::Stage(_) => Ok(Findings::default()),
+            Self::Plan(args) => args.execute(),
+            Self::Task(args) => args.execute(),
+            Self::Merge(args) => args.execute(),
+            Self::Gc(args) => args.execute(),
             Self::Inspect(args) => inspect::inspect(&args),
             Self::Import(args) => args.execute(),
             Self::Score(args) => args.execute(),
@@ -327,7 +346,11 @@ impl PipelineArgs {
         match self.out {
             Some(out) if !self.print_config => {
                 let run = Run::new(config, out, mode, strict, model)?;
-                stage(&run).map_err(|error| Failure { before: run.findings_so_far(), error })
+                let done = stage(&run);
+                // Also after an error: the tasks before it are done.
+                let saved = run.finish();
+                done.and_then(|findings| saved.map(|()| findings))
+                    .map_err(|error| Failure { before: run.findings_so_far(), error })
             }
             _ => {
                 out!("{}", config.to_toml()?.trim_end());

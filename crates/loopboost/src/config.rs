@@ -12,22 +12,9 @@ use toml::{Table, Value};
 
 use crate::detection::{self, DetectSection, OptimizeSection};
 use crate::logs::{self, LogFile, stem};
+use crate::usage::explain;
 
-/// The command line or the pipeline file is invalid; exit code 2.
-#[derive(Debug)]
-pub(crate) struct UsageError(String);
-
-impl std::fmt::Display for UsageError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(&self.0)
-    }
-}
-
-impl std::error::Error for UsageError {}
-
-pub(crate) fn usage(message: impl std::fmt::Display) -> anyhow::Error {
-    UsageError(message.to_string()).into()
-}
+pub(crate) use crate::usage::{UsageError, usage};
 
 /// A pipeline file with all defaults filled in.
 #[derive(Debug, Clone, JsonSchema, Serialize, Deserialize)]
@@ -86,7 +73,7 @@ pub(crate) struct IngestSection {
     pub(crate) lidar: LidarOptions,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) pose: Option<PoseOptions>,
-    /// Options of single logs, by file stem: `site`, `lidar` and `pose`, or any of their keys.
+    /// Options of single logs, by name (the file stem, or `folder/stem` where several logs share it): `site`, `lidar` and `pose`, or any of their keys.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     #[schemars(with = "BTreeMap<String, LogOptions>")]
     pub(crate) log: BTreeMap<String, Table>,
@@ -257,7 +244,25 @@ impl Config {
         for entry in &self.ingest.logs {
             files.extend(logs::find(&self.folder, entry)?);
         }
+        logs::name_apart(&mut files, self.simulate.as_ref().map_or(&[], |simulate| &simulate.logs));
         Ok(files)
+    }
+
+    /// Whether the poses of a log are those of a finished run.
+    pub(crate) fn uses_pose_run(&self) -> Result<bool> {
+        let runs = |pose: Option<PoseOptions>| pose.is_some_and(|pose| pose.run.is_some());
+        for log in self.ingest.log.keys() {
+            if runs(self.for_log(log)?.pose) {
+                return Ok(true);
+            }
+        }
+        Ok(runs(self.ingest.pose.clone()))
+    }
+
+    /// The pipeline of [`Config::to_toml`], as if its file were in this folder.
+    pub(crate) fn from_toml(text: &str, folder: PathBuf) -> Result<Self> {
+        let config: Self = toml::from_str(text).context("cannot read the options as TOML")?;
+        Ok(Self { folder, ..config })
     }
 
     /// Resolves a path in the pipeline file, which is relative to the file.
@@ -400,67 +405,6 @@ fn merge(base: &mut Table, over: &Table) {
             }
         }
     }
-}
-
-/// Names that are less similar than this are not suggested. A missing or an exchanged letter, and a
-/// missing unit at the end, give 0.9 or more; unrelated names give 0.4 to 0.7.
-const MIN_SIMILARITY: f64 = 0.8;
-
-/// What `serde` calls the types of values, and what people call them.
-const TYPE_NAMES: [(&str, &str); 22] = [
-    ("invalid type: ", "found "),
-    ("invalid value: ", "found "),
-    ("found string ", "found the text "),
-    ("found integer ", "found the number "),
-    ("found floating point ", "found the number "),
-    ("found boolean ", "found "),
-    ("found map", "found a section"),
-    ("found sequence", "found a list"),
-    ("expected f64", "expected a number"),
-    ("expected f32", "expected a number"),
-    ("expected usize", "expected a whole number, 0 or more"),
-    ("expected u8", "expected a whole number, 0 or more"),
-    ("expected u16", "expected a whole number, 0 or more"),
-    ("expected u32", "expected a whole number, 0 or more"),
-    ("expected u64", "expected a whole number, 0 or more"),
-    ("expected i64", "expected a whole number"),
-    ("expected a string", "expected text in quotes"),
-    ("expected a boolean", "expected true or false"),
-    ("expected a sequence", "expected a list"),
-    ("expected a map", "expected a section"),
-    ("expected struct ", "expected a section: "),
-    ("expected path string", "expected text in quotes"),
-];
-
-/// The message of a wrong type in plain words.
-fn in_plain_words(message: &str) -> String {
-    if !message.starts_with("invalid type: ") && !message.starts_with("invalid value: ") {
-        return message.to_owned();
-    }
-    let replace = |text: String, (from, to): &(&str, &str)| text.replace(from, to);
-    TYPE_NAMES.iter().fold(message.to_owned(), replace)
-}
-
-/// A TOML error with its place and, for an unknown key or name, the most similar known one.
-fn explain(place: &Path, error: &toml::de::Error) -> anyhow::Error {
-    let described = error.to_string().replace(error.message(), &in_plain_words(error.message()));
-    let mut text = format!("{}: {}", place.display(), described.trim_end());
-    let message = error.message();
-    if let Some(known) =
-        message.split("expected one of ").nth(1).or(message.split("expected ").nth(1))
-        && message.starts_with("unknown ")
-    {
-        let unknown = message.split('`').nth(1).unwrap_or_default();
-        let nearest = known.split('`').skip(1).step_by(2).max_by(|a, b| {
-            strsim::jaro_winkler(unknown, a).total_cmp(&strsim::jaro_winkler(unknown, b))
-        });
-        if let Some(nearest) = nearest
-            && MIN_SIMILARITY <= strsim::jaro_winkler(unknown, nearest)
-        {
-            text.push_str(&format!("\nhint: did you mean `{nearest}`?"));
-        }
-    }
-    usage(text)
 }
 
 #[cfg(test)]

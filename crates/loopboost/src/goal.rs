@@ -2,6 +2,7 @@
 
 use crate::config::Config;
 use crate::stage::{Artifact, Stage};
+use crate::used_model::UsedModel;
 
 /// What a run is for. The classifier is trained, or loop closures are found, or both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,6 +20,14 @@ pub(crate) struct Goal {
 }
 
 impl Goal {
+    /// What a run is for, with the model that the command names.
+    pub(crate) fn of(config: &Config, model: Option<&UsedModel>) -> Self {
+        match model {
+            None => Self::train(config),
+            Some(_) => Self::detect(config, config.detection().classifier),
+        }
+    }
+
     /// A run that trains, unless the pipeline lists no learners. It also finds loop closures if the pipeline has
     /// the section `[detect]`.
     pub(crate) fn train(config: &Config) -> Self {

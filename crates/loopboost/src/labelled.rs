@@ -4,9 +4,10 @@ use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 use anyhow::Result;
-use dataset::tables::{FeatureTable, read_keyframes, read_poses};
+use dataset::tables::{FeatureTable, read_poses};
 use dataset::{Keyframe, Note, NoteKind, ScanId, Subject, Trajectory};
 
+use crate::partitions;
 use crate::run::Run;
 use crate::stage::Artifact;
 
@@ -16,7 +17,7 @@ use crate::stage::Artifact;
 /// drift. Keyframes without a true pose are left out. Logs in the map of a finished run are labelled by the
 /// map, and the ground truth is only compared with their labels.
 pub(crate) fn labelled_keyframes(run: &Run) -> Result<(Vec<Keyframe>, Vec<Note>)> {
-    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
+    let keyframes = partitions::keyframes(run)?;
     if !run.goal.has(Artifact::Truth) {
         return Ok((keyframes, Vec::new()));
     }

@@ -33,10 +33,10 @@ fn print_branch(
     indent: &str,
     shown: &mut BTreeSet<String>,
 ) {
+    let seed = provenance.seed.map(|seed| format!("seed {seed}, ")).unwrap_or_default();
     out!(
-        "{indent}  {kind}, loopboost {}, seed {}, options {}",
+        "{indent}  {kind}, loopboost {}, {seed}options {}",
         provenance.program_version,
-        provenance.seed,
         provenance.options
     );
     for (loss, n) in provenance.losses.iter() {
@@ -102,7 +102,7 @@ fn provenance_of(path: &Path) -> Result<Option<(String, Provenance)>> {
             });
             let provenance = Provenance {
                 program_version: model.program_version,
-                seed: model.seed,
+                seed: Some(model.seed),
                 options,
                 inputs: model.training.digests,
                 ..Provenance::default()

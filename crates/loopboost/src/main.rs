@@ -20,6 +20,7 @@ mod disagreement;
 mod drives;
 mod findings;
 mod fit_detector;
+mod fleet;
 mod found_drives;
 mod georeference;
 mod goal;
@@ -38,6 +39,7 @@ mod map_files;
 mod map_run;
 mod models;
 mod other_run;
+mod partitions;
 mod pipeline;
 mod plot;
 mod pose_choice;
@@ -54,7 +56,9 @@ mod stage;
 mod stages;
 mod suggest;
 mod summary;
+mod transient;
 mod trial;
+mod usage;
 mod used_model;
 mod view;
 
@@ -68,6 +72,7 @@ use dataset::tables::TableError;
 use cli::Cli;
 use config::UsageError;
 use findings::Failure;
+use fleet::{Conflict, is_storage_trouble};
 use stage::Artifact;
 
 /// Exit code: done, and nothing needs attention.
@@ -79,11 +84,17 @@ const USAGE: u8 = 2;
 /// Exit code: done, but data was left out or a warning needs attention.
 const NEEDS_ATTENTION: u8 = 3;
 
+/// Exit code of `task`: another attempt had another result (EX_SOFTWARE of sysexits.h).
+const CONFLICT: u8 = 70;
+/// Exit code of `task`: trouble with storage or inputs, another attempt may succeed (EX_TEMPFAIL of sysexits.h).
+const TRY_AGAIN: u8 = 75;
+
 /// The only place that turns an outcome into an exit code.
 fn main() -> ExitCode {
     // `loopboost lineage X | head` ends quietly, as other programs do.
     sigpipe::reset();
     let cli = Cli::parse();
+    let is_task = cli.is_task();
     let code = match cli.execute() {
         Ok(findings) => {
             for line in findings.lines() {
@@ -119,7 +130,12 @@ fn main() -> ExitCode {
             for line in warnings {
                 eprintln!("{line}");
             }
-            if error.is::<UsageError>() { USAGE } else { FAILED }
+            match (error.is::<UsageError>(), is_task) {
+                (true, _) => USAGE,
+                (_, true) if error.is::<Conflict>() => CONFLICT,
+                (_, true) if is_storage_trouble(&error) => TRY_AGAIN,
+                _ => FAILED,
+            }
         }
     };
     ExitCode::from(code)

@@ -83,7 +83,7 @@ impl ScoreArgs {
                 }
                 let provenance = Provenance {
                     program_version: env!("CARGO_PKG_VERSION").to_owned(),
-                    seed: model.seed,
+                    seed: Some(model.seed),
                     options: json!({
                         "model": model.name, "version": model.version, "threshold": threshold
                     }),

@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 
 use anyhow::{Result, anyhow};
-use dataset::tables::{FeatureTable, read_features, read_keyframes};
+use dataset::tables::FeatureTable;
 use dataset::{FULL_RING_DEG, Keyframe, Note, NoteKind, ScanId, Subject};
 use model::Model;
 
+use crate::partitions;
 use crate::run::Run;
-use crate::stage::Artifact;
 
 /// Scores pairs of keyframes.
 pub(crate) struct Scorer<'a> {
@@ -25,19 +25,18 @@ pub(crate) struct Scorer<'a> {
 impl<'a> Scorer<'a> {
     /// Reads the features of the keyframes.
     pub(crate) fn new(run: &Run, model: &'a Model) -> Result<Self> {
-        let path = run.path_of(Artifact::Features);
-        let (features, _) = read_features(&path)?;
+        let features = partitions::features(run)?;
         if features.names != model.features.names {
             return Err(anyhow!(
-                "{} has the columns {}, but the model `{}` needs {}; run `loopboost detect` with --model again",
-                path.display(),
+                "the tables in {} have the columns {}, but the model `{}` needs {}; run `loopboost detect` with --model again",
+                run.path("features").display(),
                 features.names.join(", "),
                 model.name,
                 model.features.names.join(", ")
             ));
         }
         let rows = features.ids.iter().cloned().zip(0..).collect();
-        let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
+        let keyframes = partitions::keyframes(run)?;
         let (mut other_kind, mut notes) = (Vec::new(), Vec::new());
         for of_log in keyframes.chunk_by(|a, b| a.id.log == b.id.log) {
             let is_other = |k: &&Keyframe| {

@@ -49,7 +49,7 @@ pub(crate) struct Spec {
 pub(crate) struct Scope<'a> {
     /// The log, for a stage that works log by log.
     pub(crate) log: Option<&'a str>,
-    /// The logs of the run.
+    /// The logs of the run; only the log, for a stage that works log by log.
     pub(crate) logs: &'a [&'a str],
     /// The artifact, for a task that makes only one of those of its stage.
     pub(crate) only: Option<Artifact>,
@@ -77,6 +77,16 @@ impl Stage {
     pub(crate) const USE_MODEL: [Self; 4] =
         [Self::Register, Self::Detect, Self::Optimize, Self::Evaluate];
 
+    /// The stages that work log by log. Their results do not depend on the seed or on other logs, so that they are the
+    /// same in every run.
+    pub(crate) const OF_LOGS: [Self; 4] =
+        [Self::Ingest, Self::Subsample, Self::Featurize, Self::Register];
+
+    /// Whether this stage works log by log.
+    pub(crate) fn is_of_logs(self) -> bool {
+        Self::OF_LOGS.contains(&self)
+    }
+
     /// What this stage is.
     pub(crate) fn spec(self) -> Spec {
         use Artifact as A;
@@ -97,7 +107,7 @@ impl Stage {
             },
             Self::Subsample => Spec {
                 name: "subsample",
-                help: "Keep a scan every half metre: scans, poses -> keyframes.parquet",
+                help: "Keep a scan every half metre: scans, poses -> keyframes/LOG.parquet",
                 inputs: &[A::Scans, A::Poses],
                 outputs: &[A::Keyframes],
                 options: |config, scope| {
@@ -115,7 +125,7 @@ impl Stage {
             },
             Self::Featurize => Spec {
                 name: "featurize",
-                help: "Compute features: keyframes, scans -> features.parquet, ...",
+                help: "Compute features: keyframes, scans -> features/LOG.parquet, ...",
                 inputs: &[A::Keyframes, A::Scans],
                 outputs: &[A::Features, A::FeatureStability],
                 options: |config, _| Ok(to_value(&config.featurize)?),
@@ -131,7 +141,7 @@ impl Stage {
         match self {
             Self::Register => Spec {
                 name: "register",
-                help: "Match scans: scans, poses -> registered/LOG.parquet, odometry.parquet",
+                help: "Match scans: scans, poses -> registered/LOG.parquet, odometry/LOG.parquet",
                 inputs: &[A::Keyframes, A::Scans, A::Poses],
                 outputs: &[A::Registered, A::Odometry],
                 options: register_options,
@@ -351,7 +361,7 @@ pub(crate) enum Artifact {
 }
 
 impl Artifact {
-    const ALL: [Self; 24] = [
+    pub(crate) const ALL: [Self; 24] = [
         Self::Log,
         Self::Scans,
         Self::Poses,
@@ -385,12 +395,12 @@ impl Artifact {
             Self::Scans => "scans/{log}.parquet",
             Self::Poses => "poses/{log}.parquet",
             Self::Truth => "truth/{log}.parquet",
-            Self::Keyframes => "keyframes.parquet",
+            Self::Keyframes => "keyframes/{log}.parquet",
             Self::Pairs => "pairs.parquet",
-            Self::Features => "features.parquet",
+            Self::Features => "features/{log}.parquet",
             Self::FeatureStability => "feature_stability.parquet",
             Self::Registered => "registered/{log}.parquet",
-            Self::Odometry => "odometry.parquet",
+            Self::Odometry => "odometry/{log}.parquet",
             Self::Candidates => "candidates.parquet",
             Self::Scores => "scores.parquet",
             Self::Rounds => "rounds.parquet",
@@ -406,6 +416,11 @@ impl Artifact {
             Self::Summary => "evaluation/summary.json",
             Self::Report => "report.html",
         }
+    }
+
+    /// The folder of the files of logs, if there is one for each log.
+    pub(crate) fn folder(self) -> Option<&'static str> {
+        self.pattern().split_once("/{log}").map(|(folder, _)| folder)
     }
 
     /// Whether there is one for each log.
@@ -434,15 +449,15 @@ impl Artifact {
         Stage::ALL.into_iter().find(|stage| stage.spec().outputs.contains(&self))
     }
 
-    /// The stage that makes the file at a path, by the last parts of the path.
+    /// The stage that makes the file at a path, by the last parts of the path: two, one, or more if the name of a
+    /// log contains folders.
     pub(crate) fn maker_of_path(path: &Path) -> Option<Stage> {
         let parts: Vec<_> = path.iter().map(|part| part.to_string_lossy()).collect();
-        let (artifact, _) = (1..=2.min(parts.len())).rev().find_map(|n| {
-            let name = parts[parts.len() - n..].join("/");
-            let (artifact, log) = Self::of_name(&name)?;
-            Some((artifact, log.map(str::to_owned)))
-        })?;
-        artifact.maker()
+        let few = [2, 1].into_iter().filter(|&n| n <= parts.len());
+        few.chain(3..=parts.len()).find_map(|n| {
+            let (artifact, _) = Self::of_name(&parts[parts.len() - n..].join("/"))?;
+            artifact.maker()
+        })
     }
 }
 
@@ -464,6 +479,8 @@ mod tests {
         assert_eq!(of("monday.mcap"), None);
         let of_path = |path| Artifact::maker_of_path(Path::new(path)).map(Stage::name);
         assert_eq!(of_path("runs/a/scans/monday.parquet"), Some("ingest"));
+        assert_eq!(of_path("runs/a/scans/pairs.parquet"), Some("ingest"));
+        assert_eq!(of_path("runs/a/scans/north/monday.parquet"), Some("ingest"));
         assert_eq!(of_path("pairs.parquet"), Some("label"));
         assert_eq!(of_path("runs/a/other.parquet"), None);
     }

@@ -23,8 +23,8 @@ pub(crate) enum Summary {
     Subsampled { log: String, n_keyframes: u64, length_m: f64 },
     /// Labelled pairs.
     Labelled { n_pairs_per_class: u64, candidates: label::Candidates },
-    /// Features.
-    Featurized { set: String, n_features: u64, n_keyframes: u64 },
+    /// The features of a log.
+    Featurized { log: String, set: String, n_features: u64, n_keyframes: u64 },
     /// The registered scans of a log.
     Registered { log: String, n_scans: u64, n_degenerate: u64, length_m: f64 },
     /// The candidates of a log.
@@ -146,8 +146,8 @@ impl fmt::Display for Summary {
                 candidates.negative,
                 candidates.left_out()
             ),
-            Self::Featurized { set, n_features, n_keyframes } => {
-                write!(f, "{n_features} features ({set}) of {n_keyframes} keyframes")
+            Self::Featurized { log, set, n_features, n_keyframes } => {
+                write!(f, "{log}: {n_features} features ({set}) of {n_keyframes} keyframes")
             }
             Self::Registered { log, n_scans, n_degenerate, length_m } => write!(
                 f,

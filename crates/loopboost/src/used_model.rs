@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 use crate::config::Config;
 
 /// A model for loop detection: a classifier with a detector.
+#[derive(Clone)]
 pub(crate) struct UsedModel {
     /// The `model.json`.
     pub(crate) path: PathBuf,

@@ -59,7 +59,7 @@ pub fn write_file(path: &Path, bytes: &[u8]) -> Result<()> {
     })
 }
 
-/// The path of the temporary file: `.keyframes.parquet.partial` for `keyframes.parquet`.
+/// The path of the temporary file: `.pairs.parquet.partial` for `pairs.parquet`.
 fn partial_path(path: &Path) -> PathBuf {
     let mut name = OsString::from(".");
     name.push(path.file_name().unwrap_or_default());
@@ -167,6 +167,14 @@ pub(super) fn read_error(path: &Path, source: std::io::Error) -> TableError {
         std::io::ErrorKind::NotFound => TableError::Missing { path },
         _ => TableError::Io { action: "read", path, source },
     }
+}
+
+/// The number of rows of a table of any kind.
+pub fn n_rows(path: &Path) -> Result<u64> {
+    let file = File::open(path).map_err(|source| read_error(path, source))?;
+    let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())
+        .map_err(|e| unreadable(path, e))?;
+    Ok(u64::try_from(metadata.metadata().file_metadata().num_rows()).unwrap_or(0))
 }
 
 /// Reads the kind and the provenance of a table of any kind.

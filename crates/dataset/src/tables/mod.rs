@@ -4,9 +4,9 @@
 //! <out>/
 //!   scans/<log>.parquet      one row per planar scan           (streamed, see [`scans`])
 //!   poses/<log>.parquet      one row per pose
-//!   keyframes.parquet        one row per keyframe
+//!   keyframes/<log>.parquet  one row per keyframe
 //!   pairs.parquet            one row per labelled pair
-//!   features.parquet         one row per keyframe
+//!   features/<log>.parquet   one row per keyframe
 //!   feature_stability.parquet    one row per feature
 //!   scores.parquet           one row per pair and learner: cross-validated confidences
 //!   rounds.parquet           one row per round of boosting
@@ -15,7 +15,7 @@
 //!   feature_usefulness.parquet   one row per feature
 //!   truth/<log>.parquet      one row per pose of the ground truth (same columns as poses)
 //!   registered/<log>.parquet one row per registered scan
-//!   odometry.parquet         one row per keyframe: pose by scan matching
+//!   odometry/<log>.parquet   one row per keyframe: pose by scan matching
 //!   candidates.parquet       one row per pair of places that may be the same
 //!   closures.parquet         one row per accepted or rejected closure
 //!   trajectory.parquet       one row per keyframe: optimized pose
@@ -48,7 +48,8 @@ pub use evidence::{
     grid_batch, read_grid, read_retrieval, retrieval_batch, write_grid, write_retrieval,
 };
 pub use file::{
-    digest_file, is_partial, read_provenance, read_table, write_atomically, write_file, write_table,
+    digest_file, is_partial, n_rows, read_provenance, read_table, write_atomically, write_file,
+    write_table,
 };
 pub use graph::{read_graph, write_graph};
 pub use located::{read_located, write_located};

@@ -15,7 +15,7 @@ pub const FORMAT_VERSION: u32 = 7;
 /// | `loopboost.kind` | `scans`, `poses`, `keyframes`, ... |
 /// | `loopboost.format_version` | [`FORMAT_VERSION`] |
 /// | `loopboost.program_version` | version of the program |
-/// | `loopboost.seed` | seed of the run |
+/// | `loopboost.seed` | seed of the run; tables that do not depend on it have no such key |
 /// | `loopboost.options` | options of the stage, including defaults, as JSON |
 /// | `loopboost.inputs` | JSON object: BLAKE3 digest (hex) of each input file |
 /// | `loopboost.losses` | JSON list of losses: code, arguments, subject, count `n` |
@@ -24,8 +24,8 @@ pub const FORMAT_VERSION: u32 = 7;
 pub struct Provenance {
     /// Version of the program that wrote the table.
     pub program_version: String,
-    /// Seed of the run.
-    pub seed: u64,
+    /// Seed of the run. `None` for a stage whose results do not depend on it.
+    pub seed: Option<u64>,
     /// Options of the stage, including defaults.
     pub options: Value,
     /// BLAKE3 digests of the inputs. The key is the path in the run folder; for logs, the file
@@ -45,16 +45,20 @@ impl Provenance {
     /// The keys and values that a file of the given kind stores.
     pub fn entries(&self, kind: &str) -> Vec<(String, String)> {
         let entry = |key: &str, value: String| (format!("loopboost.{key}"), value);
-        vec![
+        let seed = self.seed.map(|seed| entry("seed", seed.to_string()));
+        let mut entries = vec![
             entry("kind", kind.to_owned()),
             entry("format_version", FORMAT_VERSION.to_string()),
             entry("program_version", self.program_version.clone()),
-            entry("seed", self.seed.to_string()),
+        ];
+        entries.extend(seed);
+        entries.extend([
             entry("options", self.options.to_string()),
             entry("inputs", serde_json::json!(self.inputs).to_string()),
             entry("losses", serde_json::json!(self.losses).to_string()),
             entry("notes", serde_json::json!(self.notes).to_string()),
-        ]
+        ]);
+        entries
     }
 
     /// The kind and the provenance, from the keys and values of a file. Returns `None` if a key is
@@ -68,7 +72,7 @@ impl Provenance {
     pub(super) fn from_metadata(get: impl Fn(&str) -> Option<String>) -> Option<Self> {
         Some(Self {
             program_version: get("program_version")?,
-            seed: get("seed")?.parse().ok()?,
+            seed: get("seed").map(|seed| seed.parse()).transpose().ok()?,
             options: serde_json::from_str(&get("options")?).ok()?,
             inputs: serde_json::from_str(&get("inputs")?).ok()?,
             losses: serde_json::from_str(&get("losses")?).ok()?,

@@ -39,12 +39,12 @@ pub fn read_registered(path: &Path) -> Result<(Vec<RegisteredScan>, Provenance)>
     Ok((rows, provenance))
 }
 
-/// Writes `odometry.parquet`: one row per keyframe, with its pose by scan matching.
+/// Writes `odometry/<log>.parquet`: one row per keyframe, with its pose by scan matching.
 pub fn write_odometry(path: &Path, provenance: &Provenance, rows: &[RegisteredScan]) -> Result<()> {
     write_table(path, "odometry", provenance, &batch(registered_columns(rows), &NULLABLE))
 }
 
-/// Reads `odometry.parquet`.
+/// Reads `odometry/<log>.parquet`.
 pub fn read_odometry(path: &Path) -> Result<(Vec<RegisteredScan>, Provenance)> {
     let (batch, provenance) = read_table(path, "odometry")?;
     let mut rows = registered_rows(path, &batch)?;

@@ -132,7 +132,7 @@ pub(super) fn covariances(columns: &Columns<'_>) -> Result<Vec<Option<[f64; 6]>>
     Ok((0..entries[0].len()).map(of_row).collect())
 }
 
-/// Writes `keyframes.parquet`.
+/// Writes `keyframes/<log>.parquet`.
 pub fn write_keyframes(path: &Path, provenance: &Provenance, keyframes: &[Keyframe]) -> Result<()> {
     let mut columns: Vec<(&str, ArrayRef)> = vec![
         ("log", strings(keyframes.iter().map(|k| &*k.id.log))),
@@ -154,7 +154,7 @@ pub fn write_keyframes(path: &Path, provenance: &Provenance, keyframes: &[Keyfra
     write_table(path, "keyframes", provenance, &batch(columns, &NULLABLE))
 }
 
-/// Reads `keyframes.parquet`.
+/// Reads `keyframes/<log>.parquet`.
 pub fn read_keyframes(path: &Path) -> Result<(Vec<Keyframe>, Provenance)> {
     let (batch, provenance) = read_table(path, "keyframes")?;
     let columns = Columns::new(path, &batch);
@@ -289,7 +289,7 @@ impl FeatureTable {
     }
 }
 
-/// Writes `features.parquet`.
+/// Writes `features/<log>.parquet`.
 pub fn write_features(path: &Path, provenance: &Provenance, table: &FeatureTable) -> Result<()> {
     let n = table.names.len();
     let mut columns: Vec<(&str, ArrayRef)> = vec![
@@ -302,7 +302,7 @@ pub fn write_features(path: &Path, provenance: &Provenance, table: &FeatureTable
     write_table(path, "features", provenance, &batch(columns, &[]))
 }
 
-/// Reads `features.parquet`.
+/// Reads `features/<log>.parquet`.
 pub fn read_features(path: &Path) -> Result<(FeatureTable, Provenance)> {
     let (batch, provenance) = read_table(path, "features")?;
     let columns = Columns::new(path, &batch);

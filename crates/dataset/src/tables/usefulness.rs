@@ -34,7 +34,7 @@ pub fn read_feature_stability(path: &Path, names: &[String]) -> Result<(Vec<f64>
     let features = columns.strings("feature")?;
     if !features.iter().flatten().eq(names.iter().map(String::as_str)) {
         let found = features.iter().flatten().collect::<Vec<_>>().join(", ");
-        return Err(columns.error("feature", "the features of features.parquet", found));
+        return Err(columns.error("feature", "the features of the run", found));
     }
     let stability = columns.numbers::<Float64Type>("stability")?;
     Ok((stability.values().to_vec(), provenance))

@@ -28,7 +28,7 @@ pub struct ComparedRun {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Origin {
-    /// A table of the runs, such as `keyframes.parquet`.
+    /// A table of the runs, such as `candidates.parquet`.
     pub table: String,
     /// What differs: the key of an option, a file name, `program_version` or `seed`.
     pub key: String,

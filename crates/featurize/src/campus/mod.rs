@@ -19,7 +19,7 @@ use walls::Walls;
 /// Number of features.
 const N: usize = 109;
 
-/// Names, in order; the columns of `features.parquet`.
+/// Names, in order; the columns of `features/<log>.parquet`.
 pub const CAMPUS_NAMES: [&str; N] = [
     // Share of the angle by range, with 13 bin centres, a factor of sqrt 2 apart.
     "range_0_7m",

@@ -138,7 +138,7 @@ impl LocateArgs {
         }));
         let provenance = Provenance {
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
-            seed: 0,
+            seed: None,
             options: json!({
                 "map": self.map, "map_logs": self.map_logs, "no_odometry": self.no_odometry,
                 "model": model.as_ref().map_or(Value::Null, UsedModel::summary),

@@ -97,7 +97,7 @@ fn check_is_html(file: &Path) -> Result<()> {
 fn write_report(file: &Path, comparison: &Comparison, [a, b]: [&MappedFolder; 2]) -> Result<()> {
     let provenance = Provenance {
         program_version: env!("CARGO_PKG_VERSION").to_owned(),
-        seed: comparison.a.seed,
+        seed: Some(comparison.a.seed),
         options: json!({ "tolerances": comparison.tolerances, "place_rule": comparison.place_rule }),
         inputs: a.digests("a").chain(b.digests("b")).collect(),
         notes: comparison.notes(),

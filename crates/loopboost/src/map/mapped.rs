@@ -6,13 +6,14 @@ use std::sync::Arc;
 
 use anyhow::{Result, anyhow};
 use dataset::tables::{
-    Provenance, digest_file, read_closures, read_keyframes, read_pairs, read_poses,
-    read_provenance, read_trajectory,
+    Provenance, digest_file, read_closures, read_pairs, read_poses, read_provenance,
+    read_trajectory,
 };
 use dataset::{JudgedClosure, MapPose, Trajectory};
 use evaluate::comparison::{ComparedRun, LabelledPair, MappedRun, Origin};
 use serde_json::Value;
 
+use crate::partitions::keyframes_in;
 use crate::run::changed_values;
 use crate::stage::Artifact;
 
@@ -30,8 +31,7 @@ pub(super) struct MappedFolder {
 }
 
 /// The stages whose options influence maps and labels. Each table has those of its own stage.
-const TABLES: [Artifact; 4] =
-    [Artifact::Keyframes, Artifact::Candidates, Artifact::Trajectory, Artifact::Pairs];
+const TABLES: [Artifact; 3] = [Artifact::Candidates, Artifact::Trajectory, Artifact::Pairs];
 
 impl MappedFolder {
     pub(super) fn load(folder: &Path) -> Result<Self> {
@@ -54,6 +54,12 @@ impl MappedFolder {
                 names.push(Artifact::ScanTrajectory.name(&id.log));
                 let scans = Artifact::Scans.name(&id.log);
                 tables.insert(scans.clone(), read_provenance(&folder.join(&scans))?.1);
+                let keyframes = Artifact::Keyframes.name(&id.log);
+                let path = folder.join(&keyframes);
+                if path.exists() {
+                    tables.insert(keyframes.clone(), read_provenance(&path)?.1);
+                    names.push(keyframes);
+                }
             }
         }
         for artifact in TABLES {
@@ -92,7 +98,7 @@ impl MappedFolder {
         ComparedRun {
             folder: self.folder.clone(),
             program_version: made.program_version.clone(),
-            seed: made.seed,
+            seed: made.seed.unwrap_or_default(),
         }
     }
 
@@ -108,7 +114,7 @@ fn labelled_pairs(folder: &Path) -> Result<Option<Vec<LabelledPair>>> {
     if !path.exists() {
         return Ok(None);
     }
-    let (keyframes, _) = read_keyframes(&folder.join(Artifact::Keyframes.name("")))?;
+    let keyframes = keyframes_in(folder)?;
     let (pairs, _) = read_pairs(&path, &keyframes)?;
     let named = pairs.iter().map(|pair| LabelledPair {
         scans: [pair.query, pair.reference].map(|k| keyframes[k].id.clone()),
@@ -136,7 +142,7 @@ pub(super) fn origins(a: &MappedFolder, b: &MappedFolder) -> Vec<Origin> {
 /// What differs in two provenances: the key, and both values.
 fn differences(a: &Provenance, b: &Provenance) -> Vec<(String, Option<String>, Option<String>)> {
     let program = |of: &Provenance| Some(of.program_version.clone());
-    let seed = |of: &Provenance| Some(of.seed.to_string());
+    let seed = |of: &Provenance| of.seed.map(|seed| seed.to_string());
     let mut found = vec![
         ("program_version".to_owned(), program(a), program(b)),
         ("seed".to_owned(), seed(a), seed(b)),

@@ -22,21 +22,24 @@ impl Run {
             .collect::<Result<BTreeMap<_, _>>>()?;
         Ok(Provenance {
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
-            seed: self.config.seed,
+            seed: (!task.stage.is_of_logs()).then_some(self.config.seed),
             options: self.options_of(task.stage, task.log.as_deref(), task.only)?,
             inputs,
             ..Provenance::default()
         })
     }
 
-    fn options_of(
+    /// The options that the results of a stage depend on.
+    pub(crate) fn options_of(
         &self,
         stage: Stage,
         log: Option<&str>,
         only: Option<Artifact>,
     ) -> Result<serde_json::Value> {
-        let logs = self.ingested_logs()?;
-        let logs: Vec<&str> = logs.iter().map(|log| &*log.name).collect();
+        let log = log.filter(|_| stage.is_of_logs());
+        // A list of all logs for each of them would take quadratic time.
+        let all = if log.is_none() { self.ingested_logs()? } else { Vec::new() };
+        let logs: Vec<&str> = all.iter().map(|log| &*log.name).chain(log).collect();
         let model = self.model.as_ref().map_or(serde_json::Value::Null, UsedModel::summary);
         (stage.spec().options)(&self.config, &Scope { log, logs: &logs, only, model })
     }
@@ -82,8 +85,8 @@ impl Run {
         let only = (artifact == Artifact::Truth).then_some(artifact);
         let (_, made) = read_provenance(path)?;
         let mut stale = changes(&made.options, &self.options_of(stage, log, only)?);
-        if made.seed != self.config.seed {
-            stale.push(format!("seed: {} -> {}", made.seed, self.config.seed));
+        if let Some(seed) = made.seed.filter(|seed| *seed != self.config.seed) {
+            stale.push(format!("seed: {seed} -> {}", self.config.seed));
         }
         for (input, digest) in &made.inputs {
             let path = self.path(input);

@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use anyhow::Result;
 
 use super::Run;
+use super::manifest::Change;
 use crate::logs::LogFile;
-use crate::stage::Stage;
 
 impl Run {
     /// Finds the logs with the same bytes as an earlier log and stores them in `run.json`. Only
@@ -40,16 +40,10 @@ impl Run {
                 }
             }
         }
-        let mut manifest = self.manifest.borrow_mut();
-        if manifest.copies == copies {
+        if self.manifest.borrow().copies == copies {
             return Ok(());
         }
-        for copy in copies.keys() {
-            manifest.tasks.remove(&format!("{} {copy}", Stage::Ingest));
-            manifest.failed.remove(copy);
-        }
-        manifest.copies = copies;
-        if self.is_dry() { Ok(()) } else { manifest.save(&self.folder.root) }
+        self.change(Change::Copies(copies))
     }
 
     /// The run's logs without copies of other logs.
@@ -60,7 +54,7 @@ impl Run {
 
     /// The copies among the logs of this run, each with the log that is used instead. `run.json` may
     /// list others, which the pipeline does not name any more.
-    pub(super) fn copies(&self) -> Result<BTreeMap<String, String>> {
+    pub(crate) fn copies(&self) -> Result<BTreeMap<String, String>> {
         let logs = self.logs()?;
         let is_log = |name: &String| logs.iter().any(|log| *log.name == **name);
         let copies = self.manifest.borrow().copies.clone();

@@ -1,5 +1,6 @@
 //! The run folder: its lock, and files that an interrupted run left half written.
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -14,13 +15,14 @@ use crate::stage::Artifact;
 /// ```text
 /// <folder>/
 ///   run.json                     what was made from what (see `manifest`)
+///   run.journal                  the same, while a command runs
 ///   logs/<log>.mcap              simulated logs
-///   scans/<log>.parquet          poses/<log>.parquet
-///   keyframes.parquet            pairs.parquet
-///   features.parquet             feature_stability.parquet
+///   scans/<log>.parquet          poses/<log>.parquet      keyframes/<log>.parquet
+///   features/<log>.parquet       feature_stability.parquet
+///   pairs.parquet
 ///   scores.parquet               rounds.parquet           retrieval.parquet  grid.parquet
 ///   feature_usefulness.parquet
-///   registered/<log>.parquet     odometry.parquet         candidates.parquet
+///   registered/<log>.parquet     odometry/<log>.parquet   candidates.parquet
 ///   closures.parquet             trajectory.parquet       graph.parquet      graph.g2o
 ///   trajectory/<log>.parquet     trajectory/<log>.tum     truth/<log>.parquet
 ///   models/<name>/<version>/     model.json, card.md
@@ -29,6 +31,8 @@ use crate::stage::Artifact;
 /// ```
 pub(crate) struct RunFolder {
     pub(super) root: PathBuf,
+    /// The run folder that the results are for, if `root` is a temporary folder.
+    pub(super) target: Option<PathBuf>,
     /// The runs whose maps are used.
     pub(super) other_runs: Vec<OtherRun>,
     /// Held for the lifetime of this value; the system releases it when the process ends.
@@ -38,15 +42,20 @@ pub(crate) struct RunFolder {
 impl RunFolder {
     /// Locks a run folder for writing and removes half-written files. Creates the folder if it is
     /// missing; fails if another process has locked it.
-    pub(super) fn lock(root: PathBuf) -> Result<Self> {
+    pub(crate) fn lock(root: PathBuf) -> Result<Self> {
         let lock = lock(&root)?;
         remove_partial_files(&root)?;
-        Ok(Self { root, other_runs: Vec::new(), _lock: Some(lock) })
+        Ok(Self { root, target: None, other_runs: Vec::new(), _lock: Some(lock) })
     }
 
     /// A run folder that nothing is written to.
     pub(super) fn read_only(root: PathBuf) -> Self {
-        Self { root, other_runs: Vec::new(), _lock: None }
+        Self { root, target: None, other_runs: Vec::new(), _lock: None }
+    }
+
+    /// A temporary folder, for results that go to a run folder later.
+    pub(super) fn scratch(root: PathBuf, target: PathBuf) -> Self {
+        Self { target: Some(target), ..Self::read_only(root) }
     }
 
     /// A path in the run folder.
@@ -70,7 +79,9 @@ impl RunFolder {
         if let Some(name) = of_other_run.filter_map(|run| run.name_of(path)).next() {
             return name;
         }
-        let name = path.strip_prefix(&self.root).ok().or(path.file_name().map(Path::new));
+        let mut folders = [Some(&self.root), self.target.as_ref()].into_iter().flatten();
+        let within = folders.find_map(|folder| path.strip_prefix(folder).ok());
+        let name = within.or(path.file_name().map(Path::new));
         name.unwrap_or(path).to_string_lossy().into_owned()
     }
 }
@@ -99,18 +110,10 @@ fn lock(folder: &Path) -> Result<File> {
 
 /// Removes files that an interrupted run left half written, only in folders that a run writes to.
 fn remove_partial_files(folder: &Path) -> Result<()> {
-    for pattern in [
-        ".*",
-        "logs/.*",
-        "scans/.*",
-        "poses/.*",
-        "truth/.*",
-        "registered/.*",
-        "trajectory/.*",
-        "evaluation/.*",
-        "evaluation/figures/.*",
-        "models/*/*/.*",
-    ] {
+    let of_logs = Artifact::ALL.into_iter().filter_map(Artifact::folder);
+    let of_logs: BTreeSet<String> = of_logs.map(|folder| format!("{folder}/**/.*")).collect();
+    let others = [".*", "evaluation/.*", "evaluation/figures/.*", "models/*/*/.*"];
+    for pattern in others.into_iter().chain(of_logs.iter().map(String::as_str)) {
         let pattern = format!("{}/{pattern}", glob::Pattern::escape(&folder.to_string_lossy()));
         for path in glob::glob(&pattern).into_iter().flatten().flatten() {
             if is_partial(&path) && path.is_file() {

@@ -2,24 +2,31 @@
 //! what has changed.
 //!
 //! It contains no times and no paths outside the run folder: the same run gives the same bytes.
+//!
+//! While a command runs, each finished task is a line of `run.journal`, because rewriting `run.json` after each of
+//! 100,000 tasks would take longer than the tasks. At its end, the command writes `run.json` and removes the journal.
+//! A journal that is still there was left by a command that was killed; its entries count.
 
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, anyhow};
+use anyhow::{Context, Result, anyhow};
 use dataset::tables::{Provenance, write_file};
 use dataset::{Losses, Note};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::stage::Stage;
 use crate::summary::Summary;
 
 /// Version of the layout of `run.json`. A file of another version is not read, and every stage runs
 /// again.
-const FORMAT_VERSION: u32 = 6;
+pub(crate) const FORMAT_VERSION: u32 = 6;
 
 /// The tasks of a run folder, by name ("ingest monday", "label").
-#[derive(Debug, Default, Serialize, Deserialize)]
+#[derive(Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Manifest {
     format_version: u32,
@@ -36,12 +43,36 @@ struct Versioned {
     format_version: u32,
 }
 
+/// A change of a manifest: a line of the journal.
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) enum Change {
+    /// A task was done.
+    Done { task: String, record: Record },
+    /// A log could not be ingested.
+    Failed { log: String, error: String },
+    /// A log that had failed before was ingested.
+    Ingested { log: String },
+    /// The copies were found.
+    Copies(BTreeMap<String, String>),
+}
+
+/// A line of the journal.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Line<T> {
+    format_version: u32,
+    change: T,
+}
+
 /// A task that was done.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Record {
     pub(crate) program_version: String,
-    pub(crate) seed: u64,
+    /// Absent for a stage whose results do not depend on it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) seed: Option<u64>,
     pub(crate) options: Value,
     /// Names and digests of what it read.
     pub(crate) inputs: BTreeMap<String, String>,
@@ -64,8 +95,27 @@ impl Manifest {
         Self::load_existing(folder).unwrap_or_default()
     }
 
-    /// Reads the manifest of a run folder.
+    /// Reads the manifest of a run folder, and the journal of a command that was killed.
     pub(crate) fn load_existing(folder: &Path) -> Result<Self> {
+        let mut manifest = match Self::load_saved(folder) {
+            Err(_) if !Self::path(folder).exists() && Self::journal(folder).exists() => {
+                Self::default()
+            }
+            loaded => loaded?,
+        };
+        let journal = std::fs::read_to_string(Self::journal(folder)).unwrap_or_default();
+        for line in journal.lines() {
+            // The last line is incomplete if the command was killed while it wrote it.
+            let Ok(line) = serde_json::from_str::<Line<Change>>(line) else { break };
+            if line.format_version == FORMAT_VERSION {
+                manifest.apply(line.change);
+            }
+        }
+        Ok(manifest)
+    }
+
+    /// Reads `run.json`.
+    fn load_saved(folder: &Path) -> Result<Self> {
         let path = Self::path(folder);
         let text = std::fs::read(&path).map_err(|e| {
             anyhow!("{} is not a run folder: cannot read run.json: {e}", folder.display())
@@ -83,12 +133,64 @@ impl Manifest {
         serde_json::from_slice(&text).map_err(damaged)
     }
 
-    pub(super) fn save(&mut self, folder: &Path) -> Result<()> {
+    fn journal(folder: &Path) -> PathBuf {
+        folder.join("run.journal")
+    }
+
+    pub(super) fn apply(&mut self, change: Change) {
+        match change {
+            Change::Done { task, record } => {
+                self.tasks.insert(task, record);
+            }
+            Change::Failed { log, error } => {
+                self.tasks.remove(&format!("{} {log}", Stage::Ingest));
+                self.failed.insert(log, error);
+            }
+            Change::Ingested { log } => {
+                self.failed.remove(&log);
+            }
+            Change::Copies(copies) => {
+                for copy in copies.keys() {
+                    self.tasks.remove(&format!("{} {copy}", Stage::Ingest));
+                    self.failed.remove(copy);
+                }
+                self.copies = copies;
+            }
+        }
+    }
+
+    /// Makes a change, and adds it to the journal.
+    pub(super) fn change(&mut self, folder: &Path, change: Change) -> Result<()> {
+        let mut line =
+            serde_json::to_string(&Line { format_version: FORMAT_VERSION, change: &change })?;
+        line.push('\n');
+        let path = Self::journal(folder);
+        let append = || -> std::io::Result<()> {
+            let mut file = File::options().create(true).append(true).open(&path)?;
+            file.write_all(line.as_bytes())?;
+            file.sync_data()
+        };
+        append().with_context(|| format!("cannot write {}", path.display()))?;
+        self.apply(change);
+        Ok(())
+    }
+
+    /// Writes `run.json` and removes the journal.
+    pub(crate) fn save(&mut self, folder: &Path) -> Result<()> {
         self.format_version = FORMAT_VERSION;
         let mut json = serde_json::to_string_pretty(self)?;
         json.push('\n');
         write_file(&Self::path(folder), json.as_bytes())?;
-        Ok(())
+        match std::fs::remove_file(Self::journal(folder)) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error)
+                .with_context(|| format!("cannot remove {}", Self::journal(folder).display())),
+            _ => Ok(()),
+        }
+    }
+
+    /// Writes `run.json` if there is a journal.
+    pub(super) fn save_journal(&mut self, folder: &Path) -> Result<()> {
+        if Self::journal(folder).exists() { self.save(folder) } else { Ok(()) }
     }
 }
 
@@ -101,7 +203,8 @@ impl Record {
             changes.push(format!("program: {} -> {}", self.program_version, now.program_version));
         }
         if self.seed != now.seed {
-            changes.push(format!("seed: {} -> {}", self.seed, now.seed));
+            let text = |seed: Option<u64>| seed.map_or("none".to_owned(), |seed| seed.to_string());
+            changes.push(format!("seed: {} -> {}", text(self.seed), text(now.seed)));
         }
         changes.extend(self::changes(&self.options, &now.options));
         for (name, digest) in &now.inputs {
@@ -174,8 +277,31 @@ mod tests {
             Manifest::load_existing(folder.path()).unwrap_err().to_string()
         };
         let message = load(r#"{"format_version": 2, "tasks": {"label": {"dropped": {}}}}"#);
-        assert!(message.contains("format version 2, this program reads version 5"), "{message}");
+        assert!(message.contains("format version 2, this program reads version 6"), "{message}");
         assert!(load("{").contains("is damaged"));
-        assert!(load(r#"{"format_version": 5, "tasks": []}"#).contains("is damaged"));
+        assert!(load(r#"{"format_version": 6, "tasks": []}"#).contains("is damaged"));
+    }
+
+    /// A command is killed while it writes the second of three lines.
+    #[test]
+    fn the_journal_of_a_killed_command_counts_up_to_its_last_complete_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path();
+        let failed = |log: &str| Change::Failed { log: log.to_owned(), error: "empty".to_owned() };
+        let mut manifest = Manifest::default();
+        manifest.change(path, failed("a")).unwrap();
+        manifest.save(path).unwrap();
+        assert!(!Manifest::journal(path).exists());
+        manifest.change(path, Change::Ingested { log: "a".to_owned() }).unwrap();
+        manifest.change(path, failed("b")).unwrap();
+        let loaded = Manifest::load_existing(path).unwrap();
+        assert_eq!(loaded.failed.keys().collect::<Vec<_>>(), ["b"]);
+        let text = std::fs::read_to_string(Manifest::journal(path)).unwrap();
+        std::fs::write(Manifest::journal(path), &text[..text.len() - 5]).unwrap();
+        let loaded = Manifest::load_existing(path).unwrap();
+        assert!(loaded.failed.is_empty(), "{:?}", loaded.failed);
+        // Without `run.json`, there is nothing but the journal.
+        std::fs::remove_file(Manifest::path(path)).unwrap();
+        assert_eq!(Manifest::load_existing(path).unwrap(), Manifest::default());
     }
 }

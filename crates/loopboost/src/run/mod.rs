@@ -3,6 +3,7 @@
 mod cache;
 mod copies;
 mod folder;
+mod log_tasks;
 mod manifest;
 mod plan;
 mod progress;
@@ -30,11 +31,12 @@ use crate::summary::Summary;
 use crate::used_model::UsedModel;
 
 pub(crate) use cache::missing_log;
-pub(crate) use manifest::{Manifest, changed_values, changes};
+pub(crate) use folder::RunFolder;
+pub(crate) use log_tasks::LogTasks;
+pub(crate) use manifest::{Manifest, Record, changed_values, changes};
 pub(crate) use progress::progress_bar;
 
-use folder::RunFolder;
-use manifest::Record;
+use manifest::Change;
 
 /// A pipeline file and the folder for its artifacts.
 pub(crate) struct Run {
@@ -94,6 +96,23 @@ pub(crate) struct Task {
     pub(crate) inputs: Vec<PathBuf>,
 }
 
+impl Task {
+    /// The name in `run.json`.
+    pub(crate) fn name(&self) -> String {
+        match (&self.log, self.only) {
+            (Some(log), Some(Artifact::Truth)) => format!("{} {log} truth", self.stage),
+            (Some(log), _) => format!("{} {log}", self.stage),
+            (None, _) => self.stage.to_string(),
+        }
+    }
+
+    /// Whether it makes an artifact of its stage.
+    fn makes(&self, artifact: Artifact) -> bool {
+        self.only.is_none_or(|only| only == artifact)
+            && (self.log.is_none() || artifact.is_per_log())
+    }
+}
+
 /// What a task made.
 #[derive(Default)]
 pub(crate) struct Done {
@@ -113,22 +132,23 @@ impl Run {
         strict: bool,
         model: Option<UsedModel>,
     ) -> Result<Self> {
-        let goal = match &model {
-            None => Goal::train(&config),
-            Some(_) => Goal::detect(&config, config.detection().classifier),
-        };
+        let goal = Goal::of(&config, model.as_ref());
         let other_runs = OtherRun::of(&config, goal, &folder)?;
         let mut folder = match mode {
             Mode::DryRun { .. } => RunFolder::read_only(folder),
             _ => RunFolder::lock(folder)?,
         };
         folder.other_runs = other_runs;
+        let mut manifest = Manifest::load(&folder.root);
+        if !matches!(mode, Mode::DryRun { .. }) {
+            manifest.save_journal(&folder.root)?;
+        }
         Ok(Self {
             config,
             goal,
             model,
             starting_values: starting_values(goal),
-            manifest: RefCell::new(Manifest::load(&folder.root)),
+            manifest: RefCell::new(manifest),
             digests: RefCell::default(),
             states: RefCell::default(),
             fresh: RefCell::default(),
@@ -215,6 +235,18 @@ impl Run {
         }
     }
 
+    /// The task of a stage that works log by log. It reads what the stage reads of the log.
+    pub(crate) fn task_of_log(&self, stage: Stage, log: &Arc<str>) -> Task {
+        let inputs = stage.spec().inputs.iter().filter(|input| self.goal.has(**input));
+        let of_log = inputs.filter(|input| input.is_per_log());
+        let mut inputs: Vec<PathBuf> =
+            of_log.map(|&artifact| self.path_of_log(artifact, log)).collect();
+        if Stage::USE_MODEL.contains(&stage) {
+            inputs.extend(self.model.iter().map(|model| model.path.clone()));
+        }
+        Task { stage, log: Some(log.clone()), only: None, inputs }
+    }
+
     /// The task of a stage that works on all logs at once. It reads what the stage reads.
     pub(crate) fn task_of(&self, stage: Stage) -> Result<Task> {
         let mut inputs = Vec::new();
@@ -239,11 +271,7 @@ impl Run {
         }
         let simulated = self.config.simulate.iter().flat_map(|s| &s.logs);
         let mut logs: Vec<LogFile> = simulated
-            .map(|name| LogFile {
-                name: name.as_str().into(),
-                paths: self.paths_of(Artifact::Log, Some(name)),
-                missing: Vec::new(),
-            })
+            .map(|name| LogFile::named(name.as_str(), self.paths_of(Artifact::Log, Some(name))))
             .collect();
         logs.extend(self.config.log_files()?);
         if logs.is_empty() {
@@ -255,7 +283,7 @@ impl Run {
         for log in &logs {
             if let Some(other) = seen.insert(&log.name, log) {
                 return Err(usage(format!(
-                    "two logs are named `{}`: {} and {}; the name is the file stem (for a split drive, the folder) and must be unique in a run: rename one",
+                    "two logs are named `{}`: {} and {}; the name is the file stem (for a split drive, the folder), with the path from the folder in `ingest.logs` if several logs share it, and must be unique in a run: rename one",
                     log.name,
                     other.place(),
                     log.place()
@@ -292,20 +320,32 @@ impl Run {
     /// Records whether a log could be ingested, for the stages that follow. The error is given by
     /// its code.
     pub(crate) fn set_failed(&self, log: &str, error: Option<&str>) -> Result<()> {
-        let mut manifest = self.manifest.borrow_mut();
-        if self.is_dry() || manifest.failed.get(log).map(String::as_str) == error {
+        if self.is_dry() || self.manifest.borrow().failed.get(log).map(String::as_str) == error {
             return Ok(());
         }
-        match error {
-            Some(error) => {
-                manifest.tasks.remove(&format!("{} {log}", Stage::Ingest));
-                manifest.failed.insert(log.to_owned(), error.to_owned());
-            }
-            None => {
-                manifest.failed.remove(log);
-            }
+        let log = log.to_owned();
+        self.change(match error {
+            Some(error) => Change::Failed { log, error: error.to_owned() },
+            None => Change::Ingested { log },
+        })
+    }
+
+    /// Makes a change to `run.json`. A dry run makes it in memory only.
+    fn change(&self, change: Change) -> Result<()> {
+        let mut manifest = self.manifest.borrow_mut();
+        match self.is_dry() {
+            true => manifest.apply(change),
+            false => manifest.change(&self.folder.root, change)?,
         }
-        manifest.save(&self.folder.root)
+        Ok(())
+    }
+
+    /// Writes `run.json`, at the end of a command.
+    pub(crate) fn finish(&self) -> Result<()> {
+        if self.is_dry() {
+            return Ok(());
+        }
+        self.manifest.borrow_mut().save_journal(&self.folder.root)
     }
 
     /// The losses and notes of all stages before this one.
@@ -361,16 +401,23 @@ impl Run {
         task: &Task,
         work: impl FnOnce(Provenance) -> Result<Done>,
     ) -> Result<Findings> {
-        let name = match (&task.log, task.only) {
-            (Some(log), None) => format!("{} {log}", task.stage),
-            (Some(log), Some(_)) => format!("{} {log} truth", task.stage),
-            (None, _) => task.stage.to_string(),
-        };
+        match self.up_to_date(task)? {
+            Ok(findings) => Ok(findings),
+            Err(provenance) => {
+                let done = work(provenance.clone())?;
+                self.record(task.name(), task.stage, done, provenance)
+            }
+        }
+    }
+
+    /// The losses and notes of a task that need not be done again. Otherwise what it is made from.
+    fn up_to_date(&self, task: &Task) -> Result<Result<Findings, Provenance>> {
+        let name = task.name();
         self.stage.set(Some(task.stage));
         let record = self.manifest.borrow().tasks.get(&name).cloned();
         if let Mode::DryRun { force } = &self.mode {
             self.plan(&name, task, record.as_ref(), force.contains(&task.stage))?;
-            return Ok(Findings::default());
+            return Ok(Ok(Findings::default()));
         }
         let provenance = self.provenance(task)?;
         if let (Mode::Resume { force }, Some(record)) = (&self.mode, record)
@@ -380,14 +427,39 @@ impl Run {
             for summary in &record.summaries {
                 self.print(task.stage, format!("{summary} (unchanged)"));
             }
-            return Ok(Findings { losses: record.losses, notes: record.notes });
+            return Ok(Ok(Findings { losses: record.losses, notes: record.notes }));
         }
         for input in &task.inputs {
             self.check_fresh(input)?;
         }
-        let done = work(provenance.clone())?;
-        self.scan_cache.check()?;
-        self.record(name, task.stage, done, provenance)
+        Ok(Err(provenance))
+    }
+
+    /// Does tasks of several logs, a few of them at once. `work` gets the numbers of those that are not up to date, with
+    /// their provenances, and returns what each made.
+    pub(crate) fn tasks(
+        &self,
+        tasks: &[Task],
+        n_at_once: usize,
+        work: impl Fn(&[(usize, Provenance)]) -> Result<Vec<Done>>,
+    ) -> Result<Findings> {
+        let mut findings = Findings::default();
+        for (first, some) in (0..).step_by(n_at_once).zip(tasks.chunks(n_at_once)) {
+            let mut pending = Vec::new();
+            for (k, task) in (first..).zip(some) {
+                match self.up_to_date(task)? {
+                    Ok(done) => findings.merge(done),
+                    Err(provenance) => pending.push((k, provenance)),
+                }
+            }
+            if pending.is_empty() {
+                continue;
+            }
+            for (done, (k, provenance)) in work(&pending)?.into_iter().zip(pending) {
+                findings.merge(self.record(tasks[k].name(), tasks[k].stage, done, provenance)?);
+            }
+        }
+        Ok(findings)
     }
 
     /// Stores in `run.json` what a task was made from and what it made.
@@ -398,6 +470,7 @@ impl Run {
         done: Done,
         provenance: Provenance,
     ) -> Result<Findings> {
+        self.scan_cache.check()?;
         let mut outputs = BTreeMap::new();
         for path in &done.outputs {
             self.digests.borrow_mut().remove(path);
@@ -417,9 +490,7 @@ impl Run {
             notes: done.notes.clone(),
             summaries: done.summaries,
         };
-        let mut manifest = self.manifest.borrow_mut();
-        manifest.tasks.insert(name, record);
-        manifest.save(&self.folder.root)?;
+        self.change(Change::Done { task: name, record })?;
         Ok(Findings { losses: done.losses, notes: done.notes })
     }
 

@@ -37,10 +37,7 @@ impl Run {
             }
         };
         if runs {
-            let is_made = |output: &&Artifact| match task.only {
-                Some(only) => only == **output,
-                None => self.goal.has(**output),
-            };
+            let is_made = |output: &&Artifact| task.makes(**output) && self.goal.has(**output);
             let outputs = task.stage.spec().outputs.iter().filter(is_made);
             let paths = outputs.flat_map(|&artifact| self.paths_of(artifact, task.log.as_deref()));
             self.would_change.borrow_mut().extend(paths);

@@ -25,7 +25,7 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
     if run.model.is_none() {
         check_registered(run)?;
         // Without a model there is no classifier, and the features are not used.
-        task.inputs.retain(|input| *input != run.path_of(Artifact::Features));
+        task.inputs.retain(|input| !input.starts_with(run.path("features")));
     }
     run.task(&task, |provenance| detect(run, &provenance))
 }

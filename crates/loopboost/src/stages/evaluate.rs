@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 use dataset::tables::scans::{read_scan_headers, read_scans};
 use dataset::tables::{
-    Provenance, TableError, read_feature_usefulness, read_features, read_grid, read_keyframes,
-    read_pairs, read_retrieval, read_rounds, read_scores, write_file,
+    Provenance, TableError, read_feature_usefulness, read_grid, read_pairs, read_retrieval,
+    read_rounds, read_scores, write_file,
 };
 use dataset::{Keyframe, Note, Scan};
 use evaluate::detection::{self, Drive, DriveMeasures, PoseSource, SiteDrives, SiteMeasures};
@@ -17,6 +17,7 @@ use crate::found_drives::FoundDrive;
 use crate::label_basis::label_basis;
 use crate::label_truth::compare_with_truth;
 use crate::labelled::{features_of, labelled_keyframes};
+use crate::partitions;
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
 use crate::summary::{RoundsError, Summary};
@@ -51,7 +52,7 @@ fn evaluate_closures(
     drives: &[Drive<'_>],
     sites: &[SiteDrives],
 ) -> Result<Done> {
-    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
+    let keyframes = partitions::keyframes(run)?;
     let measures: Vec<_> = drives.iter().map(detection::measure).collect();
     let sites: Vec<_> = sites.iter().map(|site| detection::measure_site(site, drives)).collect();
     let mut sketches = ClosureSketches::new(drives);
@@ -101,8 +102,7 @@ fn evaluate(
 ) -> Result<Done> {
     let (keyframes, _) = labelled_keyframes(run)?;
     let (pairs, _) = read_pairs(&run.path_of(Artifact::Pairs), &keyframes)?;
-    let (features, _) = read_features(&run.path_of(Artifact::Features))?;
-    let features = features_of(features, &keyframes);
+    let features = features_of(partitions::features(run)?, &keyframes);
     let (scores, of_scores) = read_scores(&run.path_of(Artifact::Scores), &pairs)?;
     let not_evaluated: Vec<Note> = of_scores.notes;
     let (rounds, _) = read_rounds(&run.path_of(Artifact::Rounds))?;

@@ -1,76 +1,102 @@
+use std::sync::Arc;
+
 use anyhow::{Context, Result, anyhow};
 use dataset::tables::scans::read_scans;
 use dataset::tables::{
-    FeatureTable, Provenance, read_keyframes, write_feature_stability, write_features,
+    FeatureTable, Provenance, TableError, read_keyframes, write_feature_stability, write_features,
 };
-use dataset::{Keyframe, Scan, Unusable};
+use dataset::{Keyframe, Scan, ScanId, Unusable};
 use featurize::Featurizer;
 use rayon::prelude::*;
 
 use crate::findings::Findings;
-use crate::run::{Done, Run};
+use crate::partitions::{self, remove_other_logs};
+use crate::run::{Done, Run, Task};
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 
 /// Number of scans that the stability of the features is measured on; enough for a median.
 const STABILITY_SCANS: usize = 1000;
 
-/// Keyframes -> features.parquet, feature_stability.parquet
+/// Keyframes -> features/LOG.parquet, feature_stability.parquet
 pub(crate) fn run(run: &Run) -> Result<Findings> {
-    run.task(&run.task_of(Stage::Featurize)?, |provenance| featurize(run, &provenance))
-}
-
-fn featurize(run: &Run, provenance: &Provenance) -> Result<Done> {
-    let options = &run.config.featurize;
-    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
-    check_one_kind_of_scan(&keyframes)?;
-    let (table, sample) = compute(run, &keyframes)?;
-    let stability = featurize::stability(options, &sample);
-
-    let outputs = [Artifact::Features, Artifact::FeatureStability].map(|table| run.path_of(table));
-    write_features(&outputs[0], provenance, &table)?;
-    write_feature_stability(&outputs[1], provenance, &table.names, &stability)?;
-    let summary = Summary::Featurized {
-        set: options.set.name().to_owned(),
-        n_features: table.names.len() as u64,
-        n_keyframes: keyframes.len() as u64,
-    };
-    Ok(Done { outputs: outputs.into(), summaries: vec![summary], ..Done::default() })
-}
-
-/// The features of all keyframes, and an even sample of their scans.
-fn compute(run: &Run, keyframes: &[Keyframe]) -> Result<(FeatureTable, Vec<Scan>)> {
-    let names = run.config.featurize.set.feature_names();
-    let mut values = vec![0.0; keyframes.len() * names.len()];
-    let every = keyframes.len().div_ceil(STABILITY_SCANS).max(1);
-    let mut sample = Vec::new();
-    let mut first = 0;
-    for of_log in keyframes.chunk_by(|a, b| a.id.log == b.id.log) {
-        let path = run.scans(&of_log[0].id.log);
-        // Keyframes are sorted by time, but scans are read in the order of the log.
-        let mut rows: Vec<(u32, usize)> = of_log.iter().map(|k| k.id.scan).zip(first..).collect();
-        first += of_log.len();
-        rows.sort_unstable();
-        let scans: Vec<u32> = rows.iter().map(|&(scan, _)| scan).collect();
-        let mut rows = rows.iter();
-        read_scans(&path, &scans, |batch| {
-            let features = features_of(&run.config.featurize, &batch)
-                .with_context(|| format!("{}: a keyframe has no features", path.display()))?;
-            for ((scan, features), &(_, row)) in batch.iter().zip(&features).zip(&mut rows) {
-                values[row * names.len()..][..names.len()].copy_from_slice(features);
-                if row.is_multiple_of(every) {
-                    sample.push(scan.clone());
-                }
-            }
-            anyhow::Ok(())
-        })?;
+    let mut findings = Findings::default();
+    for log in run.ingested_logs()? {
+        findings.merge(of_log(run, &log.name)?);
     }
+    remove_other_logs(run, Artifact::Features)?;
+    // An even sample of the scans of all logs.
+    let only = Some(Artifact::FeatureStability);
+    let task = Task { only, ..run.task_of(Stage::Featurize)? };
+    findings.merge(run.task(&task, |provenance| stability(run, &provenance))?);
+    Ok(findings)
+}
+
+/// The features of the keyframes of a log.
+pub(crate) fn of_log(run: &Run, log: &Arc<str>) -> Result<Findings> {
+    let only = Some(Artifact::Features);
+    let task = Task { only, ..run.task_of_log(Stage::Featurize, log) };
+    run.task(&task, |provenance| featurize(run, log, &provenance))
+}
+
+fn featurize(run: &Run, log: &str, provenance: &Provenance) -> Result<Done> {
+    let options = &run.config.featurize;
+    let (keyframes, _) = read_keyframes(&run.path_of_log(Artifact::Keyframes, log))?;
+    check_one_kind_of_scan(&keyframes)?;
+    let names = options.set.feature_names();
+    let mut values = vec![0.0; keyframes.len() * names.len()];
+    let path = run.scans(log);
+    // Keyframes are sorted by time, but scans are read in the order of the log.
+    let mut rows: Vec<(u32, usize)> = keyframes.iter().map(|k| k.id.scan).zip(0..).collect();
+    rows.sort_unstable();
+    let scans: Vec<u32> = rows.iter().map(|&(scan, _)| scan).collect();
+    let mut rows = rows.iter();
+    read_scans(&path, &scans, |batch| {
+        let features = features_of(options, &batch)
+            .with_context(|| format!("{}: a keyframe has no features", path.display()))?;
+        for (features, &(_, row)) in features.iter().zip(&mut rows) {
+            values[row * names.len()..][..names.len()].copy_from_slice(features);
+        }
+        anyhow::Ok(())
+    })?;
     let table = FeatureTable {
         names: names.iter().map(|&name| name.to_owned()).collect(),
         ids: keyframes.iter().map(|k| k.id.clone()).collect(),
         values,
     };
-    Ok((table, sample))
+    let output = run.path_of_log(Artifact::Features, log);
+    write_features(&output, provenance, &table)?;
+    let summary = Summary::Featurized {
+        log: log.to_owned(),
+        set: options.set.name().to_owned(),
+        n_features: names.len() as u64,
+        n_keyframes: keyframes.len() as u64,
+    };
+    Ok(Done { outputs: vec![output], summaries: vec![summary], ..Done::default() })
+}
+
+/// How stable the features are, from an even sample of the scans of all keyframes.
+fn stability(run: &Run, provenance: &Provenance) -> Result<Done> {
+    let options = &run.config.featurize;
+    let keyframes = partitions::keyframes(run)?;
+    check_one_kind_of_scan(&keyframes)?;
+    let every = keyframes.len().div_ceil(STABILITY_SCANS).max(1);
+    let sampled: Vec<&ScanId> = keyframes.iter().step_by(every).map(|k| &k.id).collect();
+    let mut sample = Vec::new();
+    for of_log in sampled.chunk_by(|a, b| a.log == b.log) {
+        let mut scans: Vec<u32> = of_log.iter().map(|id| id.scan).collect();
+        scans.sort_unstable();
+        read_scans(&run.scans(&of_log[0].log), &scans, |batch| {
+            sample.extend(batch);
+            Ok::<(), TableError>(())
+        })?;
+    }
+    let stability = featurize::stability(options, &sample);
+    let names: Vec<String> =
+        options.set.feature_names().iter().map(|&name| name.to_owned()).collect();
+    let output = run.path_of(Artifact::FeatureStability);
+    write_feature_stability(&output, provenance, &names, &stability)?;
+    Ok(Done { outputs: vec![output], ..Done::default() })
 }
 
 /// The features of each scan.

@@ -1,7 +1,8 @@
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use anyhow::{Result, anyhow};
+use anyhow::{Context, Result, anyhow};
 use dataset::tables::scans::{read_scan_headers, read_scans, write_scans};
 use dataset::tables::{Provenance, TableError, write_poses};
 use dataset::{Loss, LossKind, Losses, Note, NoteKind, Subject, Trajectory};
@@ -14,6 +15,7 @@ use crate::map_run::MapRun;
 use crate::run::{Done, Run, Task, missing_log, progress_bar};
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
+use crate::transient::is_transient;
 
 /// Logs -> scans/LOG.parquet, poses/LOG.parquet
 ///
@@ -24,50 +26,13 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
     let mut failed = Vec::new();
     run.find_copies()?;
     let logs = run.logs_without_copies()?;
-    check_frames(run, &logs)?;
+    let sharers = sharers(run, &logs)?;
+    check_frames(run, &logs, &sharers)?;
     let map = MapRun::open(run)?;
     for log in &logs {
-        if let Some(missing) = log.paths.iter().find(|path| !path.exists()) {
-            let error = missing_log(missing);
-            if run.strict {
-                return Err(error);
-            }
-            if !run.is_dry() {
-                run.set_failed(&log.name, Some(LOG_MISSING))?;
-                failed.push((error, log));
-                continue;
-            }
-        }
-        let mut inputs = log.paths.clone();
-        inputs.extend(pose_file(run, log)?);
-        let map = map.as_ref().filter(|_| run.is_in_pose_run(&log.name).unwrap_or(false));
-        if let Some(map) = map {
-            map.check_log(run, log)?;
-            inputs.extend(map.inputs_of_log(&log.name));
-        }
-        let task = Task { stage: Stage::Ingest, log: Some(log.name.clone()), only: None, inputs };
-        let ingested = match (missing_pose_file(run, log)?, map) {
-            (Some(error), _) if !run.is_dry() => Err(error.into()),
-            (_, Some(map)) => run.task(&task, |provenance| take_log(run, map, log, provenance)),
-            _ => run.task(&task, |provenance| ingest_log(run, log, provenance)),
-        };
-        let ingested = ingested.and_then(|mut findings| {
-            findings.merge(ingest_truth(run, log)?);
-            Ok(findings)
-        });
-        match ingested {
-            Ok(of_log) => {
-                run.set_failed(&log.name, None)?;
-                findings.merge(of_log);
-            }
-            // Other errors, such as a full disk, would hit the next log too.
-            Err(error) => match error.downcast_ref::<IngestError>().filter(|_| !run.strict) {
-                Some(of_log) => {
-                    run.set_failed(&log.name, Some(of_log.code()))?;
-                    failed.push((error, log));
-                }
-                None => return Err(error),
-            },
+        match of_log(run, log, map.as_ref(), sharers.get(&*log.name).map(|other| &**other))? {
+            Ok(of_log) => findings.merge(of_log),
+            Err(error) => failed.push((error, log)),
         }
     }
     if failed.len() == logs.len() {
@@ -89,6 +54,69 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
     Ok(findings)
 }
 
+/// The scans and poses of a log, or the reason why it is left out of the run. `sharer` is another log with the same
+/// site (see [`sharers`]).
+pub(crate) fn of_log(
+    run: &Run,
+    log: &LogFile,
+    map: Option<&MapRun<'_>>,
+    sharer: Option<&str>,
+) -> Result<Result<Findings, anyhow::Error>> {
+    if let Some(missing) = first_missing(log)? {
+        let error = missing_log(missing);
+        if run.strict {
+            return Err(error);
+        }
+        if !run.is_dry() {
+            run.set_failed(&log.name, Some(LOG_MISSING))?;
+            return Ok(Err(error));
+        }
+    }
+    let mut inputs = log.paths.clone();
+    inputs.extend(pose_file(run, log)?);
+    let map = map.filter(|_| run.is_in_pose_run(&log.name).unwrap_or(false));
+    if let Some(map) = map {
+        map.check_log(run, log)?;
+        inputs.extend(map.inputs_of_log(&log.name));
+    }
+    let task = Task { stage: Stage::Ingest, log: Some(log.name.clone()), only: None, inputs };
+    let ingested = match (missing_pose_file(run, log)?, map) {
+        (Some(error), _) if !run.is_dry() => Err(error.into()),
+        (_, Some(map)) => run.task(&task, |provenance| take_log(run, map, log, provenance)),
+        _ => run.task(&task, |provenance| ingest_log(run, log, sharer, provenance)),
+    };
+    let ingested = ingested.and_then(|mut findings| {
+        findings.merge(ingest_truth(run, log)?);
+        Ok(findings)
+    });
+    match ingested {
+        Ok(of_log) => {
+            run.set_failed(&log.name, None)?;
+            Ok(Ok(of_log))
+        }
+        // Other errors, such as a full disk, would hit the next log too. Those of the storage say nothing about the log.
+        Err(error) => {
+            match error.downcast_ref::<IngestError>().filter(|e| !run.strict && !is_transient(*e)) {
+                Some(of_log) => {
+                    run.set_failed(&log.name, Some(of_log.code()))?;
+                    Ok(Err(error))
+                }
+                None => Err(error),
+            }
+        }
+    }
+}
+
+/// The first file of a log that does not exist. An error of the storage does not count as such.
+fn first_missing(log: &LogFile) -> Result<Option<&PathBuf>> {
+    for path in &log.paths {
+        if !path.try_exists().with_context(|| format!("cannot read {}", path.display()))? {
+            return Ok(Some(path));
+        }
+    }
+    Ok(None)
+}
+
 /// The code of a log whose file does not exist.
 const LOG_MISSING: &str = "log_missing";
 
@@ -106,14 +134,13 @@ fn missing_pose_file(run: &Run, log: &LogFile) -> Result<Option<IngestError>> {
 
 /// Refuses logs of one site whose poses are not in the map frame of the site: revisits between them
 /// would be wrong.
-fn check_frames(run: &Run, logs: &[LogFile]) -> Result<()> {
+pub(crate) fn check_frames(run: &Run, logs: &[LogFile], sharers: &Sharers) -> Result<()> {
     for log in logs {
+        let Some(other) = sharers.get(&*log.name) else { continue };
         let own = run.config.for_log(&log.name)?;
-        if own.pose.as_ref().is_some_and(PoseOptions::is_own_frame)
-            && let Some(other) = sharer(run, &log.name, &own)?
-        {
+        if own.pose.as_ref().is_some_and(PoseOptions::is_own_frame) {
             let why = "are fused from wheels and start in their own frame";
-            return Err(own_frame(&log.name, why, &own, &other, "start"));
+            return Err(own_frame(&log.name, why, &own, other, "start"));
         }
     }
     Ok(())
@@ -126,26 +153,37 @@ fn own_frame(log: &str, why: &str, own: &LogOptions, other: &str, key: &str) -> 
     ))
 }
 
-/// Another log of the same site, if labels depend on it that both have poses in one frame. Loop detection finds
-/// the relation of the frames itself.
-fn sharer(run: &Run, name: &str, own: &LogOptions) -> Result<Option<Arc<str>>> {
+/// For each log that shares its site with other logs, the first of these.
+pub(crate) type Sharers = BTreeMap<String, Arc<str>>;
+
+/// The logs that share a site, if labels depend on it that all of them have poses in one frame. Loop detection
+/// finds the relation of the frames itself.
+pub(crate) fn sharers(run: &Run, logs: &[LogFile]) -> Result<Sharers> {
+    let mut sharers = Sharers::new();
     if !run.goal.trains() {
-        return Ok(None);
+        return Ok(sharers);
     }
-    for other in run.logs_without_copies()? {
-        if *other.name != *name
-            && own.site.is_some()
-            && run.config.for_log(&other.name)?.site == own.site
-        {
-            return Ok(Some(other.name));
+    let mut of_sites: BTreeMap<String, Vec<&Arc<str>>> = BTreeMap::new();
+    for log in logs {
+        if let Some(site) = run.config.for_log(&log.name)?.site {
+            of_sites.entry(site).or_default().push(&log.name);
         }
     }
-    Ok(None)
+    for logs in of_sites.into_values().filter(|logs| 1 < logs.len()) {
+        let others = std::iter::once(logs[1]).chain(std::iter::repeat(logs[0]));
+        sharers
+            .extend(logs.iter().zip(others).map(|(log, other)| (log.to_string(), other.clone())));
+    }
+    Ok(sharers)
 }
 
-fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done> {
+fn ingest_log(
+    run: &Run,
+    file: &LogFile,
+    sharer: Option<&str>,
+    provenance: Provenance,
+) -> Result<Done> {
     let own = run.config.for_log(&file.name)?;
-    let sharer = sharer(run, &file.name, &own)?;
     let mut options = Options { lidar: own.lidar.clone(), pose: own.pose.clone() };
     if let (Some(pose), Some(path)) = (&mut options.pose, pose_file(run, file)?) {
         pose.file = Some(path.to_string_lossy().into_owned());
@@ -162,7 +200,7 @@ fn ingest_log(run: &Run, file: &LogFile, provenance: Provenance) -> Result<Done>
             |scans| writer.push(scans).map_err(anyhow::Error::from),
             |position| progress.set_position(position),
         )?;
-        if let (true, Some(other)) = (ingested.is_own_frame, &sharer) {
+        if let (true, Some(other)) = (ingested.is_own_frame, sharer) {
             let why = "are counted from its first satellite fix";
             return Err(own_frame(&file.name, why, &own, other, "origin"));
         }
@@ -244,8 +282,10 @@ fn ingest_truth(run: &Run, log: &LogFile) -> Result<Findings> {
             Ok(ingested) => {
                 (ingested.trajectory, ingested.losses.in_log(&log.name), ingested.notes)
             }
+            Err(error) if is_transient(&error) => return Err(error.into()),
             Err(error) => {
-                let error = format!("{:#}", anyhow::Error::from(error));
+                let error =
+                    without_folders(format!("{:#}", anyhow::Error::from(error)), &task.inputs);
                 let note = NoteKind::LogWithoutTruth { error }.into();
                 (Trajectory::default(), Losses::default(), vec![note])
             }
@@ -257,6 +297,13 @@ fn ingest_truth(run: &Run, log: &LogFile) -> Result<Findings> {
         let provenance = Provenance { losses: losses.clone(), notes: notes.clone(), ..provenance };
         write_poses(&path, &provenance, &log.name, &trajectory)?;
         Ok(Done { outputs: vec![path], losses, notes, summaries: Vec::new() })
+    })
+}
+
+/// A message in which files have no folder: tables must not depend on where the files are.
+fn without_folders(message: String, files: &[PathBuf]) -> String {
+    files.iter().fold(message, |message, path| {
+        message.replace(&path.display().to_string(), &file_name(path))
     })
 }
 
@@ -287,6 +334,7 @@ pub(crate) fn open(file: &LogFile) -> Result<(Vec<Log>, Losses), IngestError> {
     for path in &file.paths {
         match Log::open(path) {
             Ok(log) => logs.push(log),
+            Err(error) if is_transient(&error) => return Err(error),
             Err(error) => {
                 let error = name_format(error);
                 losses.add(Loss::new(LossKind::UnreadableDriveFile, subject(path)), 1);

@@ -52,7 +52,7 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
 /// needs. `None` if the command names a model, and if there was nothing to fit a detector to.
 fn trained_model(run: &Run, task: &mut Task) -> Result<Option<Model>> {
     if run.model.is_some() {
-        task.inputs.retain(|input| *input != run.path_of(Artifact::Features));
+        task.inputs.retain(|input| !input.starts_with(run.path("features")));
         return Ok(None);
     }
     let mut models = Vec::new();
@@ -72,7 +72,7 @@ fn trained_model(run: &Run, task: &mut Task) -> Result<Option<Model>> {
             Some(model)
         }
         None => {
-            task.inputs.retain(|input| *input != run.path_of(Artifact::Features));
+            task.inputs.retain(|input| !input.starts_with(run.path("features")));
             None
         }
     })

@@ -16,24 +16,38 @@ use crate::drives::{
 };
 use crate::findings::Findings;
 use crate::logs::LogFile;
-use crate::run::{Done, Run};
+use crate::partitions::remove_other_logs;
+use crate::run::{Done, Run, Task};
 use crate::scan_cache::ScanCache;
 use crate::stage::{Artifact, Stage};
 use crate::summary::Summary;
 
-/// Scans and poses -> registered/LOG.parquet, odometry.parquet
+/// Scans and poses -> registered/LOG.parquet, odometry/LOG.parquet
 ///
 /// Each segment of a log is registered by itself. Where the scans suddenly show another place, a new segment begins.
 pub(crate) fn run(run: &Run) -> Result<Findings> {
-    run.task(&run.task_of(Stage::Register)?, |provenance| register(run, &provenance))
+    let findings = of_logs(run, &run.ingested_logs()?)?;
+    remove_other_logs(run, Artifact::Odometry)?;
+    Ok(findings)
 }
 
-fn register(run: &Run, provenance: &Provenance) -> Result<Done> {
-    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
-    let keyframes: HashSet<ScanId> = keyframes.into_iter().map(|keyframe| keyframe.id).collect();
-    let logs = run.ingested_logs()?;
+/// The registered scans of logs.
+pub(crate) fn of_logs(run: &Run, logs: &[LogFile]) -> Result<Findings> {
+    let tasks: Vec<Task> =
+        logs.iter().map(|log| run.task_of_log(Stage::Register, &log.name)).collect();
+    // Enough for all threads to be busy most of the time, and few enough that little is lost if the run is killed.
+    run.tasks(&tasks, 8 * rayon::current_num_threads(), |pending| {
+        let of_pending: Vec<_> = pending.iter().map(|(k, from)| (&logs[*k], from)).collect();
+        register(run, &of_pending)
+    })
+}
+
+fn register(run: &Run, logs: &[(&LogFile, &Provenance)]) -> Result<Vec<Done>> {
     let mut segments = Vec::new();
-    for log in &logs {
+    let mut keyframes: HashSet<ScanId> = HashSet::new();
+    for (log, _) in logs {
+        let (of_log, _) = read_keyframes(&run.path_of_log(Artifact::Keyframes, &log.name))?;
+        keyframes.extend(of_log.into_iter().map(|keyframe| keyframe.id));
         segments.extend(Segment::of_log(run, log)?);
     }
     // The scans of a drive are matched one after the other, so drives are registered in parallel.
@@ -47,32 +61,28 @@ fn register(run: &Run, provenance: &Provenance) -> Result<Done> {
         registered.iter().flat_map(RegisteredSegment::breaks).collect();
     let mut registered = registered.into_iter().flat_map(|segment| segment.rows).peekable();
 
-    let mut done = Done::default();
-    let mut of_logs = Vec::new();
-    for log in &logs {
+    let mut all = Vec::new();
+    for (log, provenance) in logs {
         let mut rows = Vec::new();
         while let Some(row) = registered.next_if(|row| row.id.log == log.name) {
             rows.push(row);
         }
         split(&mut rows, &breaks);
+        let mut done = Done::default();
         done.notes.extend(notes(run, log, &rows));
         done.notes.extend(other_places(log, &breaks));
         done.notes.extend(odometry_bias(run, log, &rows));
         done.summaries.push(summary(log, &rows));
-        of_logs.push(rows);
+        let provenance = Provenance { notes: done.notes.clone(), ..(*provenance).clone() };
+        done.outputs = [Artifact::Registered, Artifact::Odometry]
+            .map(|artifact| run.path_of_log(artifact, &log.name))
+            .to_vec();
+        write_registered(&done.outputs[0], &provenance, &rows)?;
+        rows.retain(|row| row.is_keyframe);
+        write_odometry(&done.outputs[1], &provenance, &rows)?;
+        all.push(done);
     }
-    let provenance = Provenance { notes: done.notes.clone(), ..provenance.clone() };
-    for (log, rows) in logs.iter().zip(&of_logs) {
-        let path = run.path_of_log(Artifact::Registered, &log.name);
-        write_registered(&path, &provenance, rows)?;
-        done.outputs.push(path);
-    }
-    let odometry: Vec<RegisteredScan> =
-        of_logs.into_iter().flatten().filter(|row| row.is_keyframe).collect();
-    let path = run.path_of(Artifact::Odometry);
-    write_odometry(&path, &provenance, &odometry)?;
-    done.outputs.push(path);
-    Ok(done)
+    Ok(all)
 }
 
 /// A continuous piece of a log, before its registration.

@@ -1,8 +1,8 @@
 use anyhow::{Result, anyhow};
 use dataset::tables::scans::read_scan_headers;
 use dataset::tables::{
-    FeatureTable, Provenance, read_feature_stability, read_features, read_keyframes, read_pairs,
-    write_feature_usefulness, write_grid, write_retrieval, write_rounds, write_scores,
+    FeatureTable, Provenance, read_feature_stability, read_pairs, write_feature_usefulness,
+    write_grid, write_retrieval, write_rounds, write_scores,
 };
 use dataset::{Keyframe, Label, Note, Pair, RangeLimits};
 use experiment::{Data, ModelContext, NotEvaluated, Setup};
@@ -11,6 +11,7 @@ use model::{FeatureSpec, Model, Training};
 use crate::findings::Findings;
 use crate::fit_detector::fit_detectors;
 use crate::labelled::{features_of, labelled_keyframes};
+use crate::partitions;
 use crate::run::{Done, Run};
 use crate::stage::{Artifact, Stage};
 use crate::summary::{GroupingError, Summary};
@@ -38,8 +39,7 @@ pub(crate) fn run(run: &Run) -> Result<Findings> {
 
 fn train(run: &Run, provenance: &Provenance) -> Result<Done> {
     let config = &run.config;
-    let (keyframes, _) = read_keyframes(&run.path_of(Artifact::Keyframes))?;
-    let (features, _) = read_features(&run.path_of(Artifact::Features))?;
+    let (keyframes, features) = (partitions::keyframes(run)?, partitions::features(run)?);
     check_features(&config.featurize, &keyframes, &features)?;
     let (keyframes, _) = labelled_keyframes(run)?;
     let features = features_of(features, &keyframes);
@@ -98,12 +98,12 @@ fn check_features(
     let remedy = "make the features again with `loopboost featurize PIPELINE.toml --out DIR`";
     if !features.ids.iter().eq(keyframes.iter().map(|k| &k.id)) {
         return Err(anyhow!(
-            "the rows of features.parquet do not match keyframes.parquet; {remedy}"
+            "the rows of the tables in features/ do not match those in keyframes/; {remedy}"
         ));
     }
     if features.names != options.set.feature_names() {
         return Err(anyhow!(
-            "features.parquet has the columns {}, expected those of `{}`; {remedy}",
+            "the tables in features/ have the columns {}, expected those of `{}`; {remedy}",
             features.names.join(", "),
             options.set.name()
         ));
