@@ -139,7 +139,7 @@ fn a_model_learns_from_the_map_of_a_run_and_not_from_the_ground_truth() {
     assert_eq!(number(&compared, "n_wrong"), 0, "{compared}");
     let [blind, seeing] = ["blind", "compared"].map(|out| workplace.files(out));
     let is_learned = |name: &&String| {
-        ["pairs.", "keyframes.", "scores.", "models/"].iter().any(|start| name.starts_with(start))
+        ["pairs.", "keyframes/", "scores.", "models/"].iter().any(|start| name.starts_with(start))
     };
     assert!(blind.keys().filter(is_learned).count() >= 5, "{:?}", blind.keys());
     for name in blind.keys().filter(is_learned) {
