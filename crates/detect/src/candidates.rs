@@ -113,7 +113,7 @@ fn candidates_among(
     let describer = Describer::new(first.n_squares());
     let rows: Vec<Vec<f32>> =
         places.submaps.par_iter().map(|submap| describer.describe(submap)).collect();
-    let similar = similar_places(places, rows, n_references, detector, classify);
+    let similar = similar_places(places, &rows, n_references, detector, classify);
     let finder = Finder { places, detector, classify, options: options() };
     let queries: Vec<usize> = (0..places.submaps.len()).collect();
     let blocks = queries.chunks(QUERIES_AT_ONCE);
@@ -123,14 +123,14 @@ fn candidates_among(
 /// For each place, the earlier places that it is compared with, the most similar one first.
 fn similar_places(
     places: &Places<'_>,
-    rows: Vec<Vec<f32>>,
+    rows: &[Vec<f32>],
     n_references: &[usize],
     detector: &Detector,
     classify: Option<Classify<'_>>,
 ) -> Vec<Vec<usize>> {
     let n = N_CORRELATED.max(detector.n_candidates as usize);
     let n_ranked = if classify.is_some() { RANKED_PER_CORRELATED * n } else { n };
-    let similar = Descriptors::new(&rows).most_similar(n_ranked, n_references);
+    let similar = Descriptors::new(rows).most_similar(n_ranked, n_references);
     let order = |(query, similar): (usize, Vec<_>)| {
         let by_descriptor: Vec<usize> = similar.into_iter().map(|s: Similar| s.reference).collect();
         let mut ranked = match classify {

@@ -145,9 +145,9 @@ fn add_confidences(run: &Run, model: &Model, candidates: &mut [CandidateClosure]
 /// Closes the loops of each drive of a site by itself, then joins those that share places, and puts the maps
 /// into the frame of their references. Candidates whose places are far from each other by the references take no
 /// part.
-fn solve<'a>(
+fn solve(
     run: &Run,
-    site: &'a SiteDrives,
+    site: &SiteDrives,
     references: &SiteReferences,
     detector: &Detector,
     candidates: &[CandidateClosure],
