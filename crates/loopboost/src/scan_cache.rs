@@ -197,3 +197,64 @@ impl ScanSource for DriveScans {
         self.of_log.scan(self.first + index)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+
+    use dataset::tables::Provenance;
+    use dataset::tables::scans::write_scans;
+
+    use super::*;
+
+    const LIMITS: RangeLimits = RangeLimits { min_m: 0.1, max_m: 25.0 };
+
+    /// A table of 300 scans in three groups. Scan k has its returns at x = k.
+    fn table(folder: &Path) -> PathBuf {
+        let path = folder.join("scans.parquet");
+        let scan = |k: u32| Scan { x_m: vec![k as f32; 10], y_m: vec![1.0; 10], ..Scan::default() };
+        write_scans(&path, &Provenance::default(), "monday", |writer| {
+            writer.push((0..300).map(scan))
+        })
+        .unwrap();
+        path
+    }
+
+    /// With memory for one group only, groups are read again, and the scans are the same.
+    #[test]
+    fn scans_come_in_the_order_that_was_asked_for_whatever_fits_into_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = table(folder.path());
+        let numbers = [299, 0, 130, 5, 131, 298, 5];
+        for max_bytes in [1, MAX_BYTES] {
+            let cache = Arc::new(ScanCache::of_bytes(max_bytes));
+            let source = cache.open(&path, &numbers, LIMITS).unwrap();
+            assert_eq!(source.len(), numbers.len());
+            for round in 0..2 {
+                for (k, &number) in numbers.iter().enumerate() {
+                    let scan = source.scan(k);
+                    assert_eq!(scan.scan().x_m[0], number as f32, "{max_bytes} {round}");
+                    assert_eq!(scan.scan().len(), 10);
+                }
+            }
+            let n_kept = cache.lock().by_key.len();
+            assert_eq!(n_kept, if max_bytes == 1 { 1 } else { 3 });
+            assert!(cache.check().is_ok());
+        }
+    }
+
+    #[test]
+    fn a_table_that_cannot_be_read_any_more_is_an_error_of_the_cache() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = table(folder.path());
+        let cache = Arc::new(ScanCache::default());
+        let source = cache.open(&path, &[1, 200], LIMITS).unwrap();
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(source.scan(1).scan().len(), 0);
+        let error = cache.check().unwrap_err().to_string();
+        assert!(error.contains("scans.parquet"), "{error}");
+        let missing = table(folder.path());
+        let error = cache.open(&missing, &[300], LIMITS).err().unwrap().to_string();
+        assert!(error.contains("no scan 300"), "{error}");
+    }
+}

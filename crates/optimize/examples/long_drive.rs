@@ -7,6 +7,8 @@
 //! computed each time one is asked for, and none is kept: all memory is that of the algorithms. After
 //! each step, the example prints the largest memory so far (Linux only).
 
+#![allow(clippy::print_stdout, reason = "an example prints its results")]
+
 use std::error::Error;
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::sync::Arc;
