@@ -330,10 +330,10 @@ impl Run {
         })
     }
 
-    /// Makes a change to `run.json`. A dry run makes it in memory only.
+    /// Makes a change to `run.json`. A dry run, and a task that keeps its own record, make it in memory only.
     fn change(&self, change: Change) -> Result<()> {
         let mut manifest = self.manifest.borrow_mut();
-        match self.is_dry() {
+        match self.is_dry() || self.folder.target.is_some() {
             true => manifest.apply(change),
             false => manifest.change(&self.folder.root, change)?,
         }
