@@ -14,14 +14,14 @@ use register::{DriveScan, ScanSource};
 /// The scans in memory have about this size at most \[bytes\].
 const MAX_BYTES: usize = 256 << 20;
 /// Memory of a return \[bytes\]: x and y of the scan, and position and normal of most of its points.
-const BYTES_PER_RETURN: usize = 40;
+const BYTES_PER_RETURN: usize = 48;
 
 /// Keeps the scans that were used last. All drives of a run share one.
 pub(crate) struct ScanCache {
     max_bytes: usize,
     groups: Mutex<Groups>,
     /// The first error of a source. Its scans have no returns, so no result may be used.
-    error: OnceLock<TableError>,
+    error: OnceLock<Arc<TableError>>,
     n_sources: AtomicU64,
 }
 
@@ -91,7 +91,7 @@ impl ScanCache {
     /// An error if a source could not read some scans.
     pub(crate) fn check(&self) -> Result<()> {
         match self.error.get() {
-            Some(error) => Err(anyhow!("{error}")),
+            Some(error) => Err(error.clone().into()),
             None => Ok(()),
         }
     }
@@ -162,7 +162,7 @@ impl TableScans {
         let numbers = &self.groups[group];
         let scans = self.table.read(group, numbers).unwrap_or_else(|error| {
             // Only the first error is reported.
-            let _ = self.cache.error.set(error);
+            let _ = self.cache.error.set(Arc::new(error));
             vec![Scan::default(); numbers.len()]
         });
         scans.into_iter().map(|scan| Arc::new(DriveScan::new(scan, self.limits))).collect()
@@ -251,8 +251,8 @@ mod tests {
         let source = cache.open(&path, &[1, 200], LIMITS).unwrap();
         std::fs::remove_file(&path).unwrap();
         assert_eq!(source.scan(1).scan().len(), 0);
-        let error = cache.check().unwrap_err().to_string();
-        assert!(error.contains("scans.parquet"), "{error}");
+        let error = cache.check().unwrap_err();
+        assert!(error.to_string().contains("scans.parquet"), "{error}");
         let missing = table(folder.path());
         let error = cache.open(&missing, &[300], LIMITS).err().unwrap().to_string();
         assert!(error.contains("no scan 300"), "{error}");

@@ -73,12 +73,10 @@ const MIN_POINTS: usize = 6;
 const SOURCE_VOXEL_M: f64 = 0.15;
 /// The smallest cosine of the angle between the normals of a point and its partner: 37 deg.
 const MIN_NORMAL_COS: f64 = 0.8;
-/// In the first iteration, no pose moves by more than this \[m\], \[rad\].
+/// In the first iteration, no step moves a pose by more than this in a direction \[m\], \[rad\].
 const MAX_FIRST_STEP: f64 = 0.3;
 /// Path that counts for the odometry error at least \[m\].
 const MIN_STEP_M: f64 = 0.05;
-/// Information that holds a pose \[1/m^2\].
-const ANCHOR: f64 = 1e9;
 /// Pairs whose scans are in memory at once.
 const PAIRS_AT_ONCE: usize = 4096;
 /// The most scans that are kept for the next iteration. Each needs about 0.1 MB.
@@ -90,8 +88,8 @@ const DAMPING: f64 = 1e-6;
 /// odometry between consecutive scans as prior. A scan without pairs, and with held neighbours or none,
 /// stays.
 ///
-/// In a drive of more than `options.max_at_once` scans, each iteration has two steps. First, groups of consecutive scans
-/// move, each group rigidly. Then one stretch of the drive after the other moves while the rest stays. The first step
+/// If more than `options.max_at_once` scans move, each iteration has two steps. First, groups of consecutive scans
+/// move, each group rigidly. Then one stretch of them after the other moves while the rest stays. The first step
 /// finds what reaches far, the second one what is left (a two-grid method, Briggs, Henson and McCormick 2000, "A
 /// Multigrid Tutorial").
 ///
@@ -107,28 +105,43 @@ pub fn align_jointly(
     options: &JointOptions,
 ) -> Vec<Pose2> {
     assert!(0 < options.max_at_once, "some poses are found");
-    let n = poses.len();
     // In this order, consecutive pairs have scans in common.
     let mut pairs = pairs.to_vec();
     pairs.sort_by_key(|&(a, b)| a.max(b));
-    let mut aligner = Aligner { scans, options, kept: Kept::new(MAX_KEPT), poses: poses.to_vec() };
-    let group = n.div_ceil(options.max_at_once).max(1);
-    let mut whole = Unknowns::new(0..n, group, pairs.clone());
+    let kept = Kept::new(MAX_KEPT);
+    let mut aligner = Aligner { scans, options, pairs, kept, poses: poses.to_vec() };
+    let each = groups(scans, 1);
+    let size = each.len().div_ceil(options.max_at_once).max(1);
+    let mut all = aligner.unknowns(groups(scans, size));
     for iteration in 0..options.iterations {
         // Without a solution, the poses stay.
-        if aligner.step(&mut whole, iteration).is_none() || group == 1 {
+        if aligner.step(&mut all, iteration).is_none() || size == 1 {
             continue;
         }
-        for range in stretches(n, options.max_at_once, iteration) {
-            let takes_part = |&(a, b): &(usize, usize)| range.contains(&a) || range.contains(&b);
-            let of_stretch = pairs.iter().copied().filter(takes_part).collect();
-            let _ = aligner.step(&mut Unknowns::new(range, 1, of_stretch), iteration);
+        for stretch in stretches(each.len(), options.max_at_once, iteration) {
+            let mut unknowns = aligner.unknowns(each[stretch].to_vec());
+            let _ = aligner.step(&mut unknowns, iteration);
         }
     }
     aligner.poses
 }
 
-/// Equal stretches of at most `most` of `n` scans. In odd iterations, they are shifted by half of a stretch.
+/// The scans that move, in groups of at most `size` consecutive scans of a drive.
+fn groups(scans: &JointScans<'_>, size: usize) -> Vec<Range<usize>> {
+    let mut groups: Vec<Range<usize>> = Vec::new();
+    for scan in (0..scans.is_held.len()).filter(|&scan| !scans.is_held[scan]) {
+        let continued = groups
+            .last_mut()
+            .filter(|group| group.end == scan && group.len() < size && scans.noise[scan].is_some());
+        match continued {
+            Some(group) => group.end += 1,
+            None => groups.push(scan..scan + 1),
+        }
+    }
+    groups
+}
+
+/// Equal stretches of at most `most` of `n` scans that move. In odd iterations, they are shifted by half of a stretch.
 fn stretches(n: usize, most: usize, iteration: u32) -> Vec<Range<usize>> {
     let n_stretches = n.div_ceil(most);
     let border = |k: usize| k * n / n_stretches;
@@ -140,70 +153,56 @@ fn stretches(n: usize, most: usize, iteration: u32) -> Vec<Range<usize>> {
     borders.windows(2).map(|of| of[0]..of[1]).collect()
 }
 
-/// Consecutive scans that move, and their equations.
+/// Groups of scans that move, and their equations.
 struct Unknowns {
-    range: Range<usize>,
-    /// Number of consecutive scans that move together.
-    group: usize,
-    /// Pairs of scans, of which at least one is in the range.
+    /// Ascending. Each moves rigidly, and turns about its first scan.
+    groups: Vec<Range<usize>>,
+    /// The group of each scan; `None` for one that stays.
+    group_of: Vec<Option<usize>>,
+    /// Pairs of scans of different groups, or of a group and a scan that stays.
     pairs: Vec<(usize, usize)>,
     system: BlockSystem,
 }
 
 impl Unknowns {
-    fn new(range: Range<usize>, group: usize, pairs: Vec<(usize, usize)>) -> Self {
-        let n_groups = range.len().div_ceil(group);
-        let of_group = |scan: &usize| (scan - range.start) / group;
-        let within = pairs.iter().filter(|(a, b)| range.contains(a) && range.contains(b));
-        let steps = (1..n_groups).map(|k| (k - 1, k));
-        let mut both: Vec<(usize, usize)> =
-            within.map(|(a, b)| (of_group(a), of_group(b))).chain(steps).collect();
-        both.sort_unstable();
-        both.dedup();
-        let system = BlockSystem::new(n_groups, both.into_iter());
-        Self { range, group, pairs, system }
+    fn new(scans: &JointScans<'_>, groups: Vec<Range<usize>>, pairs: &[(usize, usize)]) -> Self {
+        let mut group_of = vec![None; scans.is_held.len()];
+        for (k, group) in groups.iter().enumerate() {
+            group_of[group.clone()].fill(Some(k));
+        }
+        let moves = |&(a, b): &(usize, usize)| group_of[a] != group_of[b];
+        let pairs: Vec<(usize, usize)> = pairs.iter().copied().filter(moves).collect();
+        let steps = (1..group_of.len()).filter(|&k| scans.noise[k].is_some()).map(|k| (k - 1, k));
+        let both = |(a, b): (usize, usize)| Some((group_of[a]?, group_of[b]?));
+        let mut blocks: Vec<(usize, usize)> =
+            pairs.iter().copied().chain(steps).filter_map(both).collect();
+        blocks.sort_unstable();
+        blocks.dedup();
+        let system = BlockSystem::new(groups.len(), blocks.into_iter());
+        Self { groups, group_of, pairs, system }
     }
 
-    /// The unknown that moves a scan, and the derivative of its pose: a group turns about its first scan. `None`
+    /// The group of a scan, and the derivative of the pose of the scan with respect to the motion of the group. `None`
     /// for a scan that stays.
     fn of_scan(&self, scan: usize, poses: &[Pose2]) -> Option<(usize, Matrix3<f64>)> {
-        if !self.range.contains(&scan) {
-            return None;
-        }
-        let unknown = (scan - self.range.start) / self.group;
-        let first = &poses[self.range.start + unknown * self.group];
+        let group = self.group_of[scan]?;
+        let first = &poses[self.groups[group].start];
         let (x_m, y_m) = (poses[scan].x_m - first.x_m, poses[scan].y_m - first.y_m);
-        Some((unknown, Matrix3::new(1.0, 0.0, -y_m, 0.0, 1.0, x_m, 0.0, 0.0, 1.0)))
+        Some((group, Matrix3::new(1.0, 0.0, -y_m, 0.0, 1.0, x_m, 0.0, 0.0, 1.0)))
     }
 
-    /// Adds the cost of the pose of scan b in the frame of scan a.
+    /// Adds the cost of the pose of scan b in the frame of scan a, which is of another group.
     fn add(&mut self, term: &Term, a: usize, b: usize, poses: &[Pose2]) {
         let [da, db] = relative_derivatives(&poses[a], &poses[b]);
-        let a = self.of_scan(a, poses).map(|(unknown, moved)| (unknown, da * moved));
-        let b = self.of_scan(b, poses).map(|(unknown, moved)| (unknown, db * moved));
-        match (a, b) {
-            (Some((a, da)), Some((b, db))) if a == b => self.add_one(term, a, &(da + db)),
-            (Some((a, da)), Some((b, db))) => {
-                self.add_one(term, a, &da);
-                self.add_one(term, b, &db);
-                self.system.add(a, b, &(da.transpose() * term.information * db));
-            }
-            (Some((a, da)), None) => self.add_one(term, a, &da),
-            (None, Some((b, db))) => self.add_one(term, b, &db),
-            (None, None) => {}
+        let a = self.of_scan(a, poses).map(|(group, moved)| (group, da * moved));
+        let b = self.of_scan(b, poses).map(|(group, moved)| (group, db * moved));
+        for (group, derivative) in a.into_iter().chain(b) {
+            let to_group = derivative.transpose();
+            self.system.add(group, group, &(to_group * term.information * derivative));
+            self.system.add_right(group, &-(to_group * term.gradient));
         }
-    }
-
-    fn add_one(&mut self, term: &Term, unknown: usize, derivative: &Matrix3<f64>) {
-        let to_unknown = derivative.transpose();
-        self.system.add(unknown, unknown, &(to_unknown * term.information * derivative));
-        self.system.add_right(unknown, &-(to_unknown * term.gradient));
-    }
-
-    /// Holds a scan where it is.
-    fn hold(&mut self, scan: usize, information: f64, poses: &[Pose2]) {
-        if let Some((unknown, moved)) = self.of_scan(scan, poses) {
-            self.system.add(unknown, unknown, &(moved.transpose() * moved * information));
+        if let (Some((a, da)), Some((b, db))) = (a, b) {
+            self.system.add(a, b, &(da.transpose() * term.information * db));
         }
     }
 }
@@ -211,40 +210,37 @@ impl Unknowns {
 struct Aligner<'a> {
     scans: &'a JointScans<'a>,
     options: &'a JointOptions,
+    /// By the later scan.
+    pairs: Vec<(usize, usize)>,
     kept: Kept<Prepared>,
     poses: Vec<Pose2>,
 }
 
 impl Aligner<'_> {
-    /// Moves the scans of a range. `None` if that has no solution.
+    fn unknowns(&self, groups: Vec<Range<usize>>) -> Unknowns {
+        Unknowns::new(self.scans, groups, &self.pairs)
+    }
+
+    /// Moves groups of scans. `None` if that has no solution.
     fn step(&mut self, unknowns: &mut Unknowns, iteration: u32) -> Option<()> {
         unknowns.system.clear();
         self.add_pairs(unknowns, &Gates::of(iteration, self.options));
         let (scans, poses) = (self.scans, &mut self.poses);
-        let Range { start, end } = unknowns.range;
-        for k in start.max(1)..(end + 1).min(poses.len()) {
-            if let Some(noise) = &scans.noise[k] {
+        for k in 1..poses.len() {
+            if let Some(noise) = &scans.noise[k]
+                && unknowns.group_of[k - 1] != unknowns.group_of[k]
+            {
                 let term = odometry_term(scans, k, noise, poses);
                 unknowns.add(&term, k - 1, k, poses);
             }
         }
-        for k in start..end {
-            unknowns.hold(k, if scans.is_held[k] { ANCHOR } else { DAMPING }, poses);
+        for k in 0..unknowns.groups.len() {
+            unknowns.system.add(k, k, &Matrix3::from_diagonal_element(DAMPING));
         }
-        let step = unknowns.system.solve_in_place(0.0)?;
-        let most = if iteration == 0 { MAX_FIRST_STEP } else { f64::INFINITY };
-        let moves: Vec<Vector3<f64>> = (start..end)
-            .map(|k| {
-                let of_scan = unknowns.of_scan(k, poses);
-                of_scan.map_or(Vector3::zeros(), |(unknown, moved)| moved * step[unknown])
-            })
-            .collect();
-        for (k, step) in (start..end).zip(moves).filter(|(k, _)| !scans.is_held[*k]) {
-            let step = step.map(|v| v.clamp(-most, most));
-            let pose = &mut poses[k];
-            pose.x_m += step[0];
-            pose.y_m += step[1];
-            pose.heading_rad = wrap_angle(pose.heading_rad + step[2]);
+        let steps = unknowns.system.solve_in_place(0.0)?;
+        for (group, step) in unknowns.groups.iter().zip(steps) {
+            let most = if iteration == 0 { MAX_FIRST_STEP } else { f64::INFINITY };
+            move_rigidly(&mut poses[group.clone()], &step, most);
         }
         Some(())
     }
@@ -278,6 +274,21 @@ impl Aligner<'_> {
             }
         }
         unknowns.pairs = pairs;
+    }
+}
+
+/// Moves poses by a step in x, y and heading, about the first one. No pose moves by more than `most` \[m\], \[rad\] in a
+/// direction.
+fn move_rigidly(poses: &mut [Pose2], step: &Vector3<f64>, most: f64) {
+    let Some((first, rest)) = poses.split_first_mut() else { return };
+    let reach_m = rest.iter().map(|pose| pose.distance_m(first)).fold(0.0, f64::max);
+    let most_rad = most / reach_m.max(1.0);
+    let before = *first;
+    first.x_m += step[0].clamp(-most, most);
+    first.y_m += step[1].clamp(-most, most);
+    first.heading_rad = wrap_angle(first.heading_rad + step[2].clamp(-most_rad, most_rad));
+    for pose in rest {
+        *pose = *first * (before.inverse() * *pose);
     }
 }
 
@@ -442,11 +453,48 @@ fn odometry_term(scans: &JointScans<'_>, k: usize, noise: &OdometryNoise, poses:
 
 #[cfg(test)]
 mod tests {
+    use dataset::{RangeLimits, Scan};
+
     use super::*;
+    use crate::source::HeldScans;
 
     #[test]
     fn stretches_cover_all_scans_and_overlap_from_one_iteration_to_the_next() {
         assert_eq!(stretches(10, 4, 0), [0..3, 3..6, 6..10]);
         assert_eq!(stretches(10, 4, 1), [0..1, 1..4, 4..8, 8..10]);
+    }
+
+    /// Scans 0 and 4 are held, and a drive begins with scan 7.
+    #[test]
+    fn groups_have_scans_of_one_drive_that_move() {
+        let noise = OdometryNoise::LEAST;
+        let noise: Vec<_> = (0..10).map(|k| (k != 7).then_some(noise)).collect();
+        let is_held: Vec<bool> = (0..10).map(|k| k == 0 || k == 4).collect();
+        let source =
+            HeldScans::new(vec![Scan::default(); 10], RangeLimits { min_m: 0.1, max_m: 25.0 });
+        let (odometry, path_m) = (vec![Pose2::default(); 10], vec![0.0; 10]);
+        let scans = JointScans {
+            source: &source,
+            odometry: &odometry,
+            path_m: &path_m,
+            noise: &noise,
+            is_held: &is_held,
+        };
+        assert_eq!(groups(&scans, 2), [1..3, 3..4, 5..7, 7..9, 9..10]);
+        assert_eq!(groups(&scans, 1).len(), 8);
+    }
+
+    /// The last pose is 10 m ahead of the first one. A turn by 0.1 rad would move it by 1 m.
+    #[test]
+    fn groups_move_rigidly_and_not_too_far() {
+        let start = [0.0, 10.0].map(|x_m| Pose2 { x_m, ..Pose2::default() });
+        let step = Vector3::new(0.1, 0.5, 0.1);
+        let mut poses = start;
+        move_rigidly(&mut poses, &step, f64::INFINITY);
+        assert!((poses[0].distance_m(&poses[1]) - 10.0).abs() < 1e-12);
+        assert!((poses[1].y_m - 0.5 - 10.0 * 0.1f64.sin()).abs() < 1e-12);
+        let mut poses = start;
+        move_rigidly(&mut poses, &step, 0.3);
+        assert!((poses[0].y_m - 0.3).abs() < 1e-12 && poses[1].y_m < 0.6001, "{poses:?}");
     }
 }

@@ -26,29 +26,39 @@ impl<T: Send + Sync> Kept<T> {
         Self { max, values: Mutex::new(Values { by_number: BTreeMap::new(), n_requests: 0 }) }
     }
 
-    /// The values with some numbers. Those that are not kept are made, in parallel. Requests wait for each other, so
-    /// `make` must not make one.
+    /// The values with some numbers. Those that are not kept are made, in parallel.
     pub fn get(
         &self,
         wanted: &BTreeSet<usize>,
         make: impl Fn(usize) -> T + Sync,
     ) -> BTreeMap<usize, Arc<T>> {
-        let mut values = self.values.lock().unwrap_or_else(PoisonError::into_inner);
-        values.n_requests += 1;
-        let request = values.n_requests;
-        let mut missing = Vec::new();
-        for &number in wanted {
-            match values.by_number.get_mut(&number) {
-                Some((last, _)) => *last = request,
-                None => missing.push(number),
+        let lock = || self.values.lock().unwrap_or_else(PoisonError::into_inner);
+        let (request, mut found, missing) = {
+            let mut values = lock();
+            values.n_requests += 1;
+            let request = values.n_requests;
+            let (mut found, mut missing) = (BTreeMap::new(), Vec::new());
+            for &number in wanted {
+                match values.by_number.get_mut(&number) {
+                    Some((last, value)) => {
+                        *last = request;
+                        found.insert(number, value.clone());
+                    }
+                    None => missing.push(number),
+                }
             }
-        }
-        let n = values.by_number.len() + missing.len();
-        values.forget(n.saturating_sub(self.max));
+            let n = values.by_number.len() + missing.len();
+            values.forget(n.saturating_sub(self.max));
+            (request, found, missing)
+        };
+        // Without the lock: a thread that waits for others may meet another request.
         let made: Vec<Arc<T>> = missing.par_iter().map(|&k| Arc::new(make(k))).collect();
-        values.by_number.extend(missing.into_iter().zip(made.into_iter().map(|v| (request, v))));
-        let value = |number: &usize| Some((*number, values.by_number.get(number)?.1.clone()));
-        wanted.iter().filter_map(value).collect()
+        let mut values = lock();
+        for (number, value) in missing.into_iter().zip(made) {
+            values.by_number.insert(number, (request, value.clone()));
+            found.insert(number, value);
+        }
+        found
     }
 }
 

@@ -327,7 +327,8 @@ impl ScanTable {
         let mut groups: Vec<Range<u32>> = Vec::new();
         for group in metadata.metadata().row_groups() {
             let first = groups.last().map_or(0, |last| last.end);
-            groups.push(first..first + u32::try_from(group.num_rows()).unwrap_or_default());
+            let n = u32::try_from(group.num_rows()).map_err(|e| unreadable(path, e))?;
+            groups.push(first..first + n);
         }
         Ok(Self { path: path.to_owned(), metadata, groups })
     }
@@ -356,6 +357,10 @@ impl ScanTable {
         for batch in reader {
             let batch = batch.map_err(|e| unreadable(&self.path, e))?;
             found.extend(scans_of(&self.path, &batch)?);
+        }
+        if found.len() != scans.len() {
+            let detail = format!("{} scans, expected {}", found.len(), scans.len());
+            return Err(TableError::Row { path: self.path.clone(), row: start as usize, detail });
         }
         Ok(found)
     }
