@@ -425,6 +425,7 @@ fn an_input_that_was_replaced_is_refused_and_a_new_plan_repeats_only_its_task() 
         loopboost(&args).expect(0).stdout
     };
     fs::write(fleet.folder().join("objects").join("0".repeat(64)), b"unused").unwrap();
+    fs::write(fleet.folder().join("objects").join("notes"), b"of somebody").unwrap();
     assert!(gc(&[]).starts_with("0 files"), "files of the last day stay");
     assert!(gc(&["--min-age-hours", "0"]).starts_with("1 files removed, 6 bytes"));
     again.merge().expect(0);
@@ -441,6 +442,14 @@ fn wrong_plans_and_indices_exit_with_2() {
     loopboost(&["task", folder, "--plan", "0", "--index", "0"])
         .expect(2)
         .says(&["does not exist", "loopboost plan"]);
+    // A folder of another program.
+    let foreign = workplace.path("foreign/objects/ab/cdef");
+    fs::create_dir_all(foreign.parent().unwrap()).unwrap();
+    fs::write(&foreign, "").unwrap();
+    let of_others = workplace.path("foreign");
+    let gc = ["gc", of_others.to_str().unwrap(), "--min-age-hours", "0"];
+    loopboost(&gc).expect(2).says(&["is not a run folder"]);
+    assert!(foreign.exists());
     // The index of a batch system.
     let mut command = Command::new(assert_cmd::cargo::cargo_bin!("loopboost"));
     let args = fleet.args("task", &[]);
@@ -468,7 +477,12 @@ fn a_plan_with_a_model_gives_the_bytes_of_detect() {
     let fleet = Fleet { workplace: &workplace, out: "fleet", plan: plan.trim().to_owned() };
     fleet.command("task", &["--index", "0", "--of", "1"]).expect(0);
     fleet.merge().expect(0);
-    workplace.command("detect", "fleet", &model).expect(3);
+    let detected = workplace.command("detect", "fleet", &model).expect(3).stdout;
+    let mut registered = detected.lines().filter(|line| line.starts_with("register")).peekable();
+    assert!(registered.peek().is_some(), "{detected}");
+    for line in registered {
+        assert!(line.ends_with("(unchanged)"), "{line}");
+    }
     let (whole, found) = (results(&workplace, "whole"), results(&workplace, "fleet"));
     assert!(found.keys().eq(whole.keys()), "{:?}", found.keys());
     for (name, bytes) in &whole {

@@ -55,11 +55,24 @@ pub(crate) fn features(run: &Run) -> Result<FeatureTable> {
 
 /// The files of an artifact with one file per log in a run folder, sorted by name.
 pub(crate) fn files(run_folder: &Path, artifact: Artifact) -> Result<Vec<PathBuf>> {
-    let pattern = artifact.name("**/*");
-    let pattern = format!("{}/{pattern}", glob::Pattern::escape(&run_folder.to_string_lossy()));
-    let mut files: Vec<PathBuf> =
-        glob::glob(&pattern)?.collect::<Result<_, _>>().context("cannot list the tables")?;
-    files.retain(|path| !dataset::tables::is_partial(path));
+    let mut files = Vec::new();
+    // The paths begin with that of the run folder as it is written, such as `./run`.
+    let mut folders = vec![run_folder.join(artifact.folder().unwrap_or_default())];
+    while let Some(folder) = folders.pop() {
+        let entries = match std::fs::read_dir(&folder) {
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => continue,
+            entries => entries.with_context(|| format!("cannot list {}", folder.display()))?,
+        };
+        for entry in entries {
+            let path = entry.with_context(|| format!("cannot list {}", folder.display()))?.path();
+            let is_table = path.extension().is_some_and(|end| end == "parquet");
+            if path.is_dir() {
+                folders.push(path);
+            } else if is_table && !dataset::tables::is_partial(&path) {
+                files.push(path);
+            }
+        }
+    }
     files.sort();
     Ok(files)
 }
@@ -84,4 +97,27 @@ pub(crate) fn remove_others<'a>(
         std::fs::remove_file(path).with_context(|| format!("cannot remove {}", path.display()))?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The run folder is written with and without `./`.
+    #[test]
+    fn only_tables_of_other_logs_are_removed() {
+        let folder = tempfile::Builder::new().tempdir_in(".").unwrap();
+        let name = Path::new(folder.path().file_name().unwrap());
+        for run_folder in [name.to_owned(), Path::new(".").join(name), folder.path().to_owned()] {
+            for log in ["monday", "north/monday", "friday"] {
+                let path = run_folder.join(Artifact::Keyframes.name(log));
+                std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+                std::fs::write(path, "").unwrap();
+            }
+            let logs = ["monday", "north/monday"];
+            remove_others(&run_folder, Artifact::Keyframes, logs.into_iter()).unwrap();
+            let expected = logs.map(|log| run_folder.join(Artifact::Keyframes.name(log)));
+            assert_eq!(files(&run_folder, Artifact::Keyframes).unwrap(), expected);
+        }
+    }
 }

@@ -15,6 +15,8 @@ use crate::config::Config;
 pub(crate) struct UsedModel {
     /// The `model.json`.
     pub(crate) path: PathBuf,
+    /// The name of the file as an input, where that does not follow from the path.
+    pub(crate) name: Option<String>,
     pub(crate) model: Model,
     pub(crate) detector: Detector,
     /// BLAKE3 digest of the file.
@@ -32,7 +34,7 @@ impl UsedModel {
                 path.display()
             )
         })?;
-        Ok(Self { path: path.to_owned(), model, detector, digest })
+        Ok(Self { path: path.to_owned(), name: None, model, detector, digest })
     }
 
     /// The features of the model replace those of the pipeline.

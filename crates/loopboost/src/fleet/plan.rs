@@ -29,6 +29,9 @@ pub(super) struct Plan {
     /// Digest of the model that loop closures are found with. It is one of the objects.
     #[serde(skip_serializing_if = "Option::is_none")]
     model: Option<String>,
+    /// The name of the model as an input of stages.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    model_name: Option<String>,
     /// The logs with the same bytes as another log, with the name of that log.
     pub(super) copies: BTreeMap<String, String>,
     /// One per log that is used, in the order of the run.
@@ -63,6 +66,7 @@ impl Plan {
         let logs = run.logs_without_copies()?;
         let sharers = sharers(&run, &logs)?;
         check_frames(&run, &logs, &sharers)?;
+        check_pose_files(&run.config, &logs)?;
         if let Some(log) = logs.iter().find(|log| is_unsafe(&log.name)) {
             return Err(usage(format!(
                 "the name `{}` of a log has an empty part or dots",
@@ -96,6 +100,7 @@ impl Plan {
             root: paths::relative(&run_folder, &root)?,
             folder: paths::relative(&root, &folder)?,
             model: model_path.map(|path| store.put(path)).transpose()?,
+            model_name: model_path.map(|path| run.name_of(path)),
             copies,
             entries,
             pipeline: pipeline.to_toml()?,
@@ -144,7 +149,15 @@ impl Plan {
                 versions.format_version
             )));
         }
-        serde_json::from_slice(&bytes).map_err(damaged)
+        let plan: Self = serde_json::from_slice(&bytes).map_err(damaged)?;
+        match plan.entries.iter().find(|entry| is_unsafe(&entry.key)) {
+            Some(entry) => Err(usage(format!(
+                "{} is not a plan: the name `{}` of a log has an empty part or dots",
+                path.display(),
+                entry.key
+            ))),
+            None => Ok(plan),
+        }
     }
 
     /// The folder that the inputs are relative to, on this machine.
@@ -160,9 +173,27 @@ impl Plan {
 
     /// The model that loop closures are found with.
     pub(super) fn model(&self, store: &Store) -> Result<Option<UsedModel>> {
-        let path = |digest: &String| store.object(digest);
-        self.model.as_ref().map(|digest| UsedModel::load(&path(digest))).transpose()
+        let Some(digest) = &self.model else { return Ok(None) };
+        let mut model = UsedModel::load(&store.object(digest))?;
+        model.name.clone_from(&self.model_name);
+        Ok(Some(model))
     }
+}
+
+/// Refuses absolute paths of files with poses: where the logs are mounted elsewhere, they would not be found, or would be
+/// other files.
+fn check_pose_files(config: &Config, logs: &[LogFile]) -> Result<()> {
+    for LogFile { name, .. } in logs {
+        let poses = config.for_log(name)?.pose.and_then(|pose| pose.file_of(name));
+        let truth = config.evaluate.truth.as_ref().and_then(|truth| truth.file_of(name));
+        let mut files = poses.into_iter().chain(truth);
+        if let Some(file) = files.find(|file| Path::new(file).is_absolute()) {
+            return Err(usage(format!(
+                "the file with poses `{file}` has an absolute path, which other machines may not have; write it relative to the pipeline file"
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// The deepest folder with the pipeline file and all inputs.

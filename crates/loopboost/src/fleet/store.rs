@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::entry::{Entry, FORMAT_VERSION, is_unsafe};
 use super::paths;
 use super::trouble::Conflict;
+use crate::config::usage;
 use crate::run::Record as TaskRecord;
 use crate::stage::Artifact;
 
@@ -149,11 +150,7 @@ impl Store {
         let digest = digest_file(file)?;
         let object = self.object(&digest);
         if self.has(&digest)? {
-            // It is in use again: `gc` keeps new objects, which may have no record yet.
-            let touch = File::options().write(true).open(&object);
-            touch
-                .and_then(|file| file.set_modified(SystemTime::now()))
-                .with_context(|| format!("cannot write {}", object.display()))?;
+            self.keep(&digest);
             return Ok(digest);
         }
         let bytes = |out: &mut File| -> std::io::Result<()> {
@@ -164,6 +161,13 @@ impl Store {
         persist(partial, &object)?;
         sync_folder(&object)?;
         Ok(digest)
+    }
+
+    /// Marks an object as used again: `gc` keeps new objects, which may have no record yet.
+    pub(super) fn keep(&self, digest: &str) {
+        // Another user's object cannot be marked. If `gc` removes it, `merge` says so.
+        let object = File::options().write(true).open(self.object(digest));
+        let _ = object.and_then(|file| file.set_modified(SystemTime::now()));
     }
 
     /// Writes a plan. One that is there has the same bytes, or it is replaced.
@@ -214,6 +218,12 @@ impl Store {
                 Some(found) => {
                     sync_folder(path)?;
                     return Ok(Some(found));
+                }
+                None if error.kind() == ErrorKind::Unsupported => {
+                    return Err(usage(format!(
+                        "{}: the file system has no hard links, which records need; choose another run folder",
+                        path.display()
+                    )));
                 }
                 None => return Err(error).with_context(cannot),
             },

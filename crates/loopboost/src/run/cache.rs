@@ -18,7 +18,7 @@ impl Run {
         let inputs = task
             .inputs
             .iter()
-            .map(|path| Ok((self.folder.name_of(path), self.digest(path)?)))
+            .map(|path| Ok((self.name_of(path), self.digest(path)?)))
             .collect::<Result<BTreeMap<_, _>>>()?;
         Ok(Provenance {
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -30,6 +30,13 @@ impl Run {
     }
 
     /// The options that the results of a stage depend on.
+    /// The name of an input.
+    pub(crate) fn name_of(&self, path: &Path) -> String {
+        let named = self.model.as_ref().filter(|model| model.path == path);
+        let name = named.and_then(|model| model.name.clone());
+        name.unwrap_or_else(|| self.folder.name_of(path))
+    }
+
     pub(crate) fn options_of(
         &self,
         stage: Stage,

@@ -66,7 +66,7 @@ impl RunFolder {
         logs: BTreeMap<String, LogTasks>,
         copies: BTreeMap<String, String>,
     ) -> Result<()> {
-        let mut manifest = Manifest::load(&self.root);
+        let mut manifest = Manifest::load(&self.root)?;
         manifest.apply(Change::Copies(copies));
         for (log, LogTasks { failed, tasks }) in logs {
             for stage in Stage::OF_LOGS {

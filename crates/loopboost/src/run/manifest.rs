@@ -9,7 +9,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow};
@@ -90,9 +90,11 @@ impl Manifest {
     }
 
     /// Reads the manifest of a run folder. A missing or damaged one, and one of another version,
-    /// counts as empty: every stage runs again.
-    pub(super) fn load(folder: &Path) -> Self {
-        Self::load_existing(folder).unwrap_or_default()
+    /// counts as empty: every stage runs again. What a command that was killed has done since counts.
+    pub(super) fn load(folder: &Path) -> Result<Self> {
+        let mut manifest = Self::load_saved(folder).unwrap_or_default();
+        manifest.apply_journal(folder)?;
+        Ok(manifest)
     }
 
     /// Reads the manifest of a run folder, and the journal of a command that was killed.
@@ -103,15 +105,24 @@ impl Manifest {
             }
             loaded => loaded?,
         };
-        let journal = std::fs::read_to_string(Self::journal(folder)).unwrap_or_default();
-        for line in journal.lines() {
+        manifest.apply_journal(folder)?;
+        Ok(manifest)
+    }
+
+    fn apply_journal(&mut self, folder: &Path) -> Result<()> {
+        let path = Self::journal(folder);
+        let journal = match std::fs::read(&path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+            journal => journal.with_context(|| format!("cannot read {}", path.display()))?,
+        };
+        for line in journal.split(|byte| *byte == b'\n') {
             // The last line is incomplete if the command was killed while it wrote it.
-            let Ok(line) = serde_json::from_str::<Line<Change>>(line) else { break };
+            let Ok(line) = serde_json::from_slice::<Line<Change>>(line) else { break };
             if line.format_version == FORMAT_VERSION {
-                manifest.apply(line.change);
+                self.apply(line.change);
             }
         }
-        Ok(manifest)
+        Ok(())
     }
 
     /// Reads `run.json`.
@@ -182,7 +193,7 @@ impl Manifest {
         json.push('\n');
         write_file(&Self::path(folder), json.as_bytes())?;
         match std::fs::remove_file(Self::journal(folder)) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error)
+            Err(error) if error.kind() != ErrorKind::NotFound => Err(error)
                 .with_context(|| format!("cannot remove {}", Self::journal(folder).display())),
             _ => Ok(()),
         }
@@ -283,6 +294,17 @@ mod tests {
     }
 
     /// A command is killed while it writes the second of three lines.
+    /// A run folder of an earlier version, and a command of this version that was killed.
+    #[test]
+    fn the_journal_counts_beside_a_run_json_of_another_version() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut killed = Manifest::default();
+        let failed = Change::Failed { log: "monday".to_owned(), error: "no_scans".to_owned() };
+        killed.change(folder.path(), failed).unwrap();
+        std::fs::write(Manifest::path(folder.path()), r#"{"format_version": 2}"#).unwrap();
+        assert_eq!(Manifest::load(folder.path()).unwrap().failed["monday"], "no_scans");
+    }
+
     #[test]
     fn the_journal_of_a_killed_command_counts_up_to_its_last_complete_line() {
         let folder = tempfile::tempdir().unwrap();

@@ -139,7 +139,7 @@ impl Run {
             _ => RunFolder::lock(folder)?,
         };
         folder.other_runs = other_runs;
-        let mut manifest = Manifest::load(&folder.root);
+        let mut manifest = Manifest::load(&folder.root)?;
         if !matches!(mode, Mode::DryRun { .. }) {
             manifest.save_journal(&folder.root)?;
         }
