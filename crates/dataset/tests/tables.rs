@@ -354,6 +354,6 @@ fn an_error_about_the_format_version_names_both_versions() {
     let of_provenance = read_provenance(&path).unwrap_err();
     for error in [of_rows, of_provenance] {
         let message = error.to_string();
-        assert!(message.contains("format version 99, this program reads version 6"), "{message}");
+        assert!(message.contains("format version 99, this program reads version 7"), "{message}");
     }
 }
