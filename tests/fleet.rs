@@ -280,8 +280,8 @@ fn killed_tasks_and_merges_are_repeated_to_the_same_bytes() {
             break;
         }
     }
-    // Seven tables and the record.
-    assert!(8 <= n_killed, "{n_killed}");
+    // There are seven tables and the record. On a fast machine, some attempts end before they are killed.
+    assert!(4 <= n_killed, "{n_killed}");
     fleet.command("task", &["--index", "0", "--of", "1"]).expect(0);
     for k in 0..6 {
         let mut child = fleet.start("merge", &[]);
