@@ -304,6 +304,17 @@ fn models_are_listed_shown_compared_verified_and_exported() {
     assert_eq!(list.lines().count(), 6, "{list}");
     let card = loopboost(&["model", "show", &a]).expect(0).stdout;
     assert_eq!(card, fs::read_to_string(path("models/drive-discrete/1.0.0/card.md")).unwrap());
+    // A folder with one model is that model.
+    let shown =
+        loopboost(&["model", "show", &path("models/drive-discrete/1.0.0")]).expect(0).stdout;
+    assert_eq!(shown, card);
+    let several = ["has 2 models; name one of them", "1.0.0/model.json", "1.1.0/model.json"];
+    loopboost(&["model", "show", &path("models/drive-discrete")]).expect(1).says(&several);
+    let pipeline = workplace.path("drive.toml").to_str().unwrap().to_owned();
+    for (folder, said) in [("models/drive-discrete", &several[..]), ("scans", &["no model.json"])] {
+        let arguments = ["detect", &pipeline, "--model", &path(folder), "--out", &path("detected")];
+        loopboost(&arguments).expect(1).says(said);
+    }
     let diff = loopboost(&["model", "diff", &a, &b]).expect(0).stdout;
     assert!(diff.contains("label_options.positive_radius_m: 1.5 -> 2.0"), "{diff}");
     assert!(loopboost(&["model", "diff", &a, &a]).expect(0).stdout.contains("no difference"));

@@ -116,14 +116,14 @@ enum ModelCommand {
     },
     /// Print a model's card
     Show {
-        /// A model.json
+        /// A model.json, or a folder with one model
         model: PathBuf,
     },
     /// Show how two models differ
     Diff {
-        /// A model.json
+        /// A model.json, or a folder with one model
         a: PathBuf,
-        /// Another model.json
+        /// Another one
         b: PathBuf,
     },
     /// Check every value and the digest of a model, or of all models in a folder
@@ -133,7 +133,7 @@ enum ModelCommand {
     },
     /// Export a model for other runtimes
     Export {
-        /// A model.json
+        /// A model.json, or a folder with one model
         model: PathBuf,
         /// The ONNX file to write: F = |f_a - f_b| in, confidence and label out
         #[arg(long, value_name = "FILE")]
@@ -225,7 +225,7 @@ impl FromArgMatches for StageCommand {
 fn model_arg(stage: Stage) -> Arg {
     let help = match stage {
         Stage::Detect => {
-            "Find loop closures in the logs of the pipeline with this model.json: runs all stages from ingest to optimize, and the report"
+            "Find loop closures in the logs of the pipeline with this model.json, or the only one in this folder: runs all stages from ingest to optimize, and the report"
         }
         _ => {
             "The model.json that `loopboost detect --model` was run with, for a folder of that command"

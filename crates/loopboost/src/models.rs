@@ -31,16 +31,17 @@ pub(crate) fn list(folder: &Path) -> Result<()> {
 
 /// Prints the model card.
 pub(crate) fn show(path: &Path) -> Result<()> {
-    out!("{}", model::card(&model::load(path)?).trim_end());
+    out!("{}", model::card(&model::load(&file_of(path)?)?).trim_end());
     Ok(())
 }
 
 /// Prints the values that differ between two models.
 pub(crate) fn diff(a: &Path, b: &Path) -> Result<()> {
     let value = |path: &Path| -> Result<serde_json::Value> {
-        model::load(path)?;
+        let path = file_of(path)?;
+        model::load(&path)?;
         let text =
-            std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+            std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))?;
         Ok(serde_json::from_slice(&text)?)
     };
     let (a, b) = (value(a)?, value(b)?);
@@ -73,7 +74,7 @@ pub(crate) fn verify(path: &Path) -> Result<()> {
 
 /// Writes a model as ONNX.
 pub(crate) fn export(path: &Path, onnx: &Path, threshold: f64) -> Result<()> {
-    let model = model::load(path)?;
+    let model = model::load(&file_of(path)?)?;
     if !threshold.is_finite() {
         return Err(anyhow!("--threshold is {threshold}, expected a finite number"));
     }
@@ -88,6 +89,27 @@ pub(crate) fn export(path: &Path, onnx: &Path, threshold: f64) -> Result<()> {
     write_file(onnx, &model::to_onnx(&model, threshold))?;
     out!("{} {} -> {}", model.name, model.version, onnx.display());
     Ok(())
+}
+
+/// The file of a model: the path itself, or the only `model.json` in a folder and its subfolders.
+pub(crate) fn file_of(path: &Path) -> Result<PathBuf> {
+    if !path.is_dir() {
+        return Ok(path.to_owned());
+    }
+    let mut files = model_files(path)?;
+    match files.pop() {
+        Some(only) if files.is_empty() => Ok(only),
+        last => {
+            let files: Vec<String> =
+                files.iter().chain(&last).map(|file| file.display().to_string()).collect();
+            Err(anyhow!(
+                "{} has {} models; name one of them: {}",
+                path.display(),
+                files.len(),
+                files.join(", ")
+            ))
+        }
+    }
 }
 
 /// All files named `model.json` in a folder and its subfolders, sorted by path.

@@ -17,6 +17,7 @@ use serde_json::json;
 
 use crate::config::usage;
 use crate::findings::Findings;
+use crate::models::file_of;
 use crate::scorer::other_ranges;
 use crate::stage::Artifact;
 use crate::used_model::featurize_options;
@@ -24,7 +25,7 @@ use crate::used_model::featurize_options;
 /// The arguments of `score`.
 #[derive(clap::Args)]
 pub(crate) struct ScoreArgs {
-    /// A model.json
+    /// A model.json, or a folder with one model
     model: PathBuf,
     /// A run folder with the scans; can be repeated
     #[arg(long = "run", value_name = "DIR", required = true)]
@@ -47,7 +48,8 @@ pub(crate) struct ScoreArgs {
 impl ScoreArgs {
     /// Scores the pairs.
     pub(crate) fn execute(self) -> Result<Findings> {
-        let model = model::load(&self.model)?;
+        let model_file = file_of(&self.model)?;
+        let model = model::load(&model_file)?;
         let threshold = self.threshold(&model)?;
         let pairs = read_pairs(&self.pairs)?;
         let mut findings = Findings::default();
@@ -77,7 +79,7 @@ impl ScoreArgs {
         match &self.out {
             None => print_csv(&scores),
             Some(out) => {
-                for path in [&self.model, &self.pairs] {
+                for path in [&model_file, &self.pairs] {
                     let name = path.file_name().unwrap_or_default().to_string_lossy();
                     inputs.insert(name.into_owned(), digest_file(path)?);
                 }

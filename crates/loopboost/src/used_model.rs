@@ -9,6 +9,7 @@ use model::{Detector, Model};
 use serde_json::{Value, json};
 
 use crate::config::Config;
+use crate::models::file_of;
 
 /// A model for loop detection: a classifier with a detector.
 #[derive(Clone)]
@@ -24,8 +25,10 @@ pub(crate) struct UsedModel {
 }
 
 impl UsedModel {
-    /// Loads a model. A model without a detector is an error that says how to get one.
+    /// Loads a model: a file, or a folder with one model. A model without a detector is an error that says how to get
+    /// one.
     pub(crate) fn load(path: &Path) -> Result<Self> {
+        let path = &file_of(path).with_context(|| format!("--model {}", path.display()))?;
         let digest = digest_file(path).with_context(|| format!("--model {}", path.display()))?;
         let model = model::load(path)?;
         let detector = model.detector.clone().ok_or_else(|| {

@@ -54,8 +54,8 @@ impl Plan {
             ));
         }
         let folder = paths::canonical(&config.beside_pipeline(""))?;
-        let model = model.map(|path| Ok::<_, anyhow::Error>((path, UsedModel::load(path)?)));
-        let (model_path, model) = model.transpose()?.unzip();
+        let model = model.map(UsedModel::load).transpose()?;
+        let model_path = model.as_ref().map(|model| model.path.clone());
         if let Some(model) = model.as_ref().filter(|_| config.detection().classifier) {
             model.set_features(&mut config)?;
         }
@@ -99,8 +99,8 @@ impl Plan {
             program_version: env!("CARGO_PKG_VERSION").to_owned(),
             root: paths::relative(&run_folder, &root)?,
             folder: paths::relative(&root, &folder)?,
-            model: model_path.map(|path| store.put(path)).transpose()?,
-            model_name: model_path.map(|path| run.name_of(path)),
+            model: model_path.as_deref().map(|path| store.put(path)).transpose()?,
+            model_name: model_path.as_deref().map(|path| run.name_of(path)),
             copies,
             entries,
             pipeline: pipeline.to_toml()?,
