@@ -1,14 +1,15 @@
 //! Relative poses of two submaps by correlation.
 
 use std::f64::consts::TAU;
+use std::ops::AddAssign;
 
 use dataset::{Pose2, wrap_angle};
 use register::{Square, Submap};
 
 /// Headings that are compared, over a full circle: every 5 deg.
 pub(crate) const N_HEADINGS: usize = 72;
-/// Shifts along x and along y that are compared: -8 to 8 squares, which are 3.2 m.
-pub(crate) const REACH: usize = 8;
+/// Shifts along x and along y that are compared: -7 to 7 squares, which are 2.8 m.
+pub(crate) const REACH: usize = 7;
 /// Number of shifts along an axis.
 pub(crate) const N_SHIFTS: usize = 2 * REACH + 1;
 /// A wall on a wall counts as this value. Scores are sums of integers, so that they are exact.
@@ -25,8 +26,10 @@ const BLUR_FACTOR: f64 = 3.0;
 const BLUR_REACH: usize = 2;
 
 /// Values that are added at once: the shifts of one row, rounded up to whole registers.
-const LANES: usize = 24;
-const FREE_LANES: usize = 32;
+const LANES: usize = 16;
+const FREE_LANES: usize = 16;
+/// Shifts along x whose sums are made at once.
+const ROWS: usize = 4;
 /// Sums of this many values fit into 16 bits.
 const MAX_VALUES: usize = 256;
 /// Sums of this many values of 0 or 1 fit into 8 bits.
@@ -226,13 +229,25 @@ fn all_scores_avx2(reference: &Reference, query: &Query) -> Vec<i32> {
 #[inline(always)]
 fn sum_all(reference: &Reference, query: &Query) -> Vec<i32> {
     let mut values = Vec::with_capacity(N_HEADINGS * N_SHIFTS * N_SHIFTS);
+    let free_stride = query.n + FREE_LANES;
     for turned in &query.headings {
-        for shift in 0..N_SHIFTS {
-            let on_walls = sum_values(reference, turned, shift);
-            let in_free = sum_free(reference, turned, shift, query.n);
-            // The lane k of `in_free` is the shift 2 REACH - k.
-            let score = |k: usize| on_walls[k] - UNIT * in_free[2 * REACH - k];
-            values.extend((0..N_SHIFTS).map(score));
+        for next in (0..N_SHIFTS).step_by(ROWS) {
+            // The last block begins with shifts of the one before.
+            let shift = next.min(N_SHIFTS - ROWS);
+            let shifted = &reference.values[shift * reference.stride..];
+            let on_walls: [[i32; LANES]; ROWS] =
+                sum_rows(shifted, reference.stride, &turned.walls, MAX_VALUES);
+            // The first row is the square of the query that the last of the shifts moves to the first square of the
+            // reference.
+            let shifted = &turned.free[(N_SHIFTS - ROWS - shift) * free_stride..];
+            let in_free: [[i32; FREE_LANES]; ROWS] =
+                sum_rows(shifted, free_stride, &reference.walls, MAX_FREE);
+            for row in next - shift..ROWS {
+                // The row k of `in_free` is the shift ROWS - 1 - k, and its lane k the shift 2 REACH - k.
+                let (on_walls, in_free) = (&on_walls[row], &in_free[ROWS - 1 - row]);
+                let score = |k: usize| on_walls[k] - UNIT * in_free[2 * REACH - k];
+                values.extend((0..N_SHIFTS).map(score));
+            }
         }
     }
     values
@@ -247,48 +262,44 @@ fn heading_rad(k: usize) -> f64 {
     wrap_angle(TAU * k as f64 / N_HEADINGS as f64)
 }
 
-/// The values of the reference at the walls of the query, for a shift along x and all shifts along y.
+/// Sums of the values at the walls, shifted by each lane along y, and by each row along x. Up to `most` values can be
+/// added without overflow.
 #[inline(always)]
-fn sum_values(reference: &Reference, turned: &Turned, shift: usize) -> [i32; LANES] {
-    let mut sums = [0i32; LANES];
-    let shifted = &reference.values[shift * reference.stride..];
-    for walls in turned.walls.chunks(MAX_VALUES) {
-        let mut short = [0i16; LANES];
+fn sum_rows<T: Copy + Default + AddAssign + Into<i32>, const N: usize>(
+    values: &[T],
+    stride: usize,
+    walls: &[u32],
+    most: usize,
+) -> [[i32; N]; ROWS] {
+    let mut sums = [[0i32; N]; ROWS];
+    for walls in walls.chunks(most) {
+        // Four variables and no loop over them: then the compiler keeps them in registers.
+        let [mut a, mut b, mut c, mut d] = [[T::default(); N]; ROWS];
         for &at in walls {
             // The margin has room for all lanes.
-            let Some(values) = shifted[at as usize..].first_chunk::<LANES>() else { break };
-            for k in 0..LANES {
-                short[k] += values[k];
-            }
+            let Some(rows) = values.get(at as usize..at as usize + (ROWS - 1) * stride + N) else {
+                break;
+            };
+            add(&mut a, rows);
+            add(&mut b, &rows[stride..]);
+            add(&mut c, &rows[2 * stride..]);
+            add(&mut d, &rows[3 * stride..]);
         }
-        for (sum, short) in sums.iter_mut().zip(short) {
-            *sum += i32::from(short);
+        for (sums, row) in sums.iter_mut().zip([a, b, c, d]) {
+            for (sum, value) in sums.iter_mut().zip(row) {
+                *sum += value.into();
+            }
         }
     }
     sums
 }
 
-/// The walls of the reference in the free space of the query, for a shift along x and all shifts along y
-/// in descending order.
 #[inline(always)]
-fn sum_free(reference: &Reference, turned: &Turned, shift: usize, n: usize) -> [i32; FREE_LANES] {
-    let mut sums = [0i32; FREE_LANES];
-    // Begins with the square of the query that the shift moves to the first square of the reference.
-    let shifted = &turned.free[(2 * REACH - shift) * (n + FREE_LANES)..];
-    for walls in reference.walls.chunks(MAX_FREE) {
-        let mut short = [0u8; FREE_LANES];
-        for &at in walls {
-            // The margin has room for all lanes.
-            let Some(free) = shifted[at as usize..].first_chunk::<FREE_LANES>() else { break };
-            for k in 0..FREE_LANES {
-                short[k] += free[k];
-            }
-        }
-        for (sum, short) in sums.iter_mut().zip(short) {
-            *sum += i32::from(short);
-        }
+fn add<T: Copy + AddAssign, const N: usize>(sums: &mut [T; N], values: &[T]) {
+    let Some(values) = values.first_chunk::<N>() else { return };
+    for k in 0..N {
+        sums[k] += values[k];
     }
-    sums
 }
 
 /// Row and column of the squares of a kind.
@@ -421,12 +432,12 @@ mod tests {
         let mut values = vec![0; N_HEADINGS * N_SHIFTS * N_SHIFTS];
         let k = |heading: usize, x: usize, y: usize| (heading * N_SHIFTS + x) * N_SHIFTS + y;
         for (at, score) in [
-            (k(0, 8, 8), 100),
-            (k(71, 8, 11), 99),
-            (k(69, 10, 10), 98),
-            (k(4, 8, 8), 97),
-            (k(0, 8, 12), 96),
-            (k(4, 9, 9), 95),
+            (k(0, REACH, REACH), 100),
+            (k(71, REACH, REACH + 3), 99),
+            (k(69, REACH + 2, REACH + 2), 98),
+            (k(4, REACH, REACH), 97),
+            (k(0, REACH, REACH + 4), 96),
+            (k(4, REACH + 1, REACH + 1), 95),
         ] {
             values[at] = score;
         }

@@ -8,7 +8,7 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use register::{
     AlignOptions, Fit, Preference, Prior, Window, align, closure_covariance, fit, fit_options,
-    search,
+    map_order, search,
 };
 
 use crate::places::{Place, Places};
@@ -214,13 +214,19 @@ impl Prediction {
 /// Compares places around their predicted relative poses. The results have the order of the
 /// predictions.
 pub(crate) fn compare(places: &Places<'_>, predictions: &[Prediction]) -> Vec<Compared> {
-    let of_block = |block: &[Prediction]| {
-        let near = places.get(&block.iter().flat_map(|p| [p.reference, p.query]).collect());
-        let compared =
-            block.par_iter().map(|p| compare_pair(&near[&p.reference], &near[&p.query], p));
-        compared.collect::<Vec<_>>()
-    };
-    predictions.chunks(PAIRS_AT_ONCE).flat_map(of_block).collect()
+    // In this order, consecutive pairs have places in common, and places have scans in common.
+    let order = map_order(predictions.iter().map(|p| places.pose(p.query)));
+    let mut compared: Vec<(usize, Compared)> = Vec::with_capacity(predictions.len());
+    for block in order.chunks(PAIRS_AT_ONCE) {
+        let pair = |k: &usize| [predictions[*k].reference, predictions[*k].query];
+        let near = places.get(&block.iter().flat_map(pair).collect());
+        compared.par_extend(block.par_iter().map(|&k| {
+            let p = &predictions[k];
+            (k, compare_pair(&near[&p.reference], &near[&p.query], p))
+        }));
+    }
+    compared.sort_unstable_by_key(|(k, _)| *k);
+    compared.into_iter().map(|(_, compared)| compared).collect()
 }
 
 fn compare_pair(a: &Place, b: &Place, prediction: &Prediction) -> Compared {
@@ -239,7 +245,11 @@ fn compare_pair(a: &Place, b: &Place, prediction: &Prediction) -> Compared {
         align(b.node.sample(), a.node.target(), start, &prior, options).target_from_source
     };
     let measured = |end: &Pose2| fit(&a.node, &b.node, end, &last_options());
-    let ends = [found, expected].map(|start| aligned(&start, &fit_options(0.5, ITERATIONS)));
+    let end = |start: &Pose2| aligned(start, &fit_options(0.5, ITERATIONS));
+    let of_found = end(&found);
+    // The search often finds the predicted pose itself.
+    let of_expected = if found == expected { of_found } else { end(&expected) };
+    let ends = [of_found, of_expected];
     let first = measured(&ends[0]);
     let second = is_elsewhere(&first.a_from_b, &ends[1]).then(|| measured(&ends[1]));
     let best = second.filter(|second| agreement(&first) < agreement(second)).unwrap_or(first);

@@ -54,6 +54,11 @@ impl<'a> Places<'a> {
         self.scans.len()
     }
 
+    /// The pose of a place.
+    pub(crate) fn pose(&self, place: usize) -> Pose2 {
+        self.poses[self.scans[place]]
+    }
+
     /// The place of a scan.
     pub(crate) fn of_scan(&self, scan: usize) -> Option<usize> {
         self.scans.binary_search(&scan).ok()

@@ -188,6 +188,11 @@ const CONVERGED: f64 = 2e-4;
 /// Added to the diagonal of the information, so that directions without any information stay.
 const DAMPING: f64 = 1e-6;
 
+/// Until the gate has its last value, every third point of a source takes part ...
+const EVERY: usize = 3;
+/// ... if that leaves this many.
+const MIN_FEW_POINTS: usize = 100;
+
 /// Sums over the pairs of points and partners at one pose.
 struct Sums {
     /// Sum of w J^T J.
@@ -210,6 +215,8 @@ struct Sums {
 /// a little about the position along it: 0.4 % of the largest information is not counted in the
 /// direction with the least.
 ///
+/// Before the gate has its last value, every third point takes part and counts for three, if there are at least 300.
+///
 /// # Panics
 /// If `first_gate_m` is more than the reach of the target (in debug builds).
 pub fn align(
@@ -221,11 +228,15 @@ pub fn align(
 ) -> Alignment {
     let mut pose = *start;
     let mut searches = Searches::new(target, source.len());
-    let mut sums = sum_pairs(source, target, &mut searches, &pose, options.first_gate_m, options);
+    let is_large = EVERY * MIN_FEW_POINTS <= source.len();
+    let every = |iteration| if is_large && iteration < LAST_GATE_ITERATION { EVERY } else { 1 };
+    let mut sums =
+        sum_pairs(source, target, &mut searches, &pose, every(0), options.first_gate_m, options);
     for iteration in 0..options.max_iterations {
         if 0 < iteration {
             let gate_m = gate_m(iteration, options);
-            sums = sum_pairs(source, target, &mut searches, &pose, gate_m, options);
+            sums =
+                sum_pairs(source, target, &mut searches, &pose, every(iteration), gate_m, options);
         }
         let from_prior = prior.off(&pose);
         let (from_points, gradient) = discount_normals(&sums.information, &sums.gradient);
@@ -298,11 +309,13 @@ fn sum_pairs(
     target: &Target,
     searches: &mut Searches<'_>,
     pose: &Pose2,
+    every: usize,
     gate_m: f64,
     options: &AlignOptions,
 ) -> Sums {
     let motion = Motion::new(pose);
-    let weight = 1.0 / (options.noise_m * options.noise_m * options.points_per_measurement);
+    let weight =
+        every as f64 / (options.noise_m * options.noise_m * options.points_per_measurement);
     let mut sums = Sums {
         information: Matrix3::zeros(),
         gradient: Vector3::zeros(),
@@ -310,7 +323,8 @@ fn sum_pairs(
         squares_m2: 0.0,
     };
     let [mut xx, mut xy, mut xh, mut yy, mut yh, mut hh] = [0.0; 6];
-    for (k, (&q, normal)) in source.positions_m.iter().zip(&source.normals).enumerate() {
+    let points = source.positions_m.iter().zip(&source.normals).enumerate().step_by(every);
+    for (k, (&q, normal)) in points {
         let turned = motion.direction(q);
         let moved = [turned[0] + pose.x_m, turned[1] + pose.y_m];
         let Some(partner) = searches.nearest(k, moved, gate_m) else { continue };

@@ -1,6 +1,7 @@
 //! Search of the best pose in a window, by correlation with blurred points.
 
 use dataset::{Pose2, wrap_angle};
+use rayon::prelude::*;
 
 use crate::points::{Motion, Points};
 
@@ -72,28 +73,44 @@ impl BlurredMap {
         [0, 1].map(|axis| (p[axis] - self.corner_m[axis]) / self.square_m)
     }
 
-    fn square(&self, p: [f64; 2]) -> Option<[usize; 2]> {
-        self.containing(self.in_squares(p))
+    /// The number along an axis of the square that contains a position in squares.
+    #[inline]
+    fn along(&self, axis: usize, v: f64) -> Option<usize> {
+        // False for NaN.
+        (0.0 <= v && v < self.n_squares[axis] as f64).then_some(v as usize)
     }
 
-    /// The square that contains a position in squares.
-    #[inline]
-    fn containing(&self, [a, b]: [f64; 2]) -> Option<[usize; 2]> {
-        let is_inside =
-            0.0 <= a && 0.0 <= b && a < self.n_squares[0] as f64 && b < self.n_squares[1] as f64;
-        is_inside.then_some([a as usize, b as usize])
+    fn square(&self, p: [f64; 2]) -> Option<[usize; 2]> {
+        let [a, b] = self.in_squares(p);
+        Some([self.along(0, a)?, self.along(1, b)?])
     }
 
     /// The value at a position. 0 outside the map.
     #[inline]
     pub fn at(&self, p: [f64; 2]) -> f32 {
-        self.value(self.in_squares(p))
+        self.square(p).map_or(0.0, |[a, b]| self.values[a * self.n_squares[1] + b])
     }
 
-    /// The value at a position in squares.
-    #[inline]
-    fn value(&self, p: [f64; 2]) -> f32 {
-        self.containing(p).map_or(0.0, |[a, b]| self.values[a * self.n_squares[1] + b])
+    /// Sums of the values at points that are turned and then moved, `(xs_m.len(), ys_m.len())`.
+    fn sums(&self, points: &Points, turned: &Motion, xs_m: &[f64], ys_m: &[f64]) -> Vec<f64> {
+        let in_squares = |of: &[f64]| of.iter().map(|v| v / self.square_m).collect::<Vec<f64>>();
+        let (rows, columns) = (in_squares(xs_m), in_squares(ys_m));
+        let mut sums = vec![0.0; rows.len() * columns.len()];
+        let mut at = vec![None; columns.len()];
+        for &p in &points.positions_m {
+            let [row, column] = self.in_squares(turned.direction(p));
+            for (at, moved) in at.iter_mut().zip(&columns) {
+                *at = self.along(1, column + moved);
+            }
+            for (moved, sums) in rows.iter().zip(sums.chunks_exact_mut(columns.len())) {
+                let Some(row) = self.along(0, row + moved) else { continue };
+                let values = &self.values[row * self.n_squares[1]..][..self.n_squares[1]];
+                for (sum, at) in sums.iter_mut().zip(&at) {
+                    *sum += at.map_or(0.0, |column| f64::from(values[column]));
+                }
+            }
+        }
+        sums
     }
 }
 
@@ -154,34 +171,49 @@ pub fn search(
     if points.is_empty() {
         return BestPose { pose: window.centre, score: 0.0 };
     }
-    let steps = |half: f64, step: f64| (half / step).round() as i64;
-    let n = steps(window.half_width_m, window.step_m);
     let n_turn = steps(window.half_turn_rad, window.step_rad);
+    let turns: Vec<i64> = (-n_turn..=n_turn).collect();
+    let best_of = |&turn: &i64| search_heading(map, points, window, preference, turn);
+    let of_headings: Vec<BestPose> = turns.par_iter().map(best_of).collect();
+    let none = BestPose { pose: window.centre, score: f64::NEG_INFINITY };
+    of_headings.into_iter().fold(none, |best, next| match best.score < next.score {
+        true => next,
+        false => best,
+    })
+}
+
+/// Number of steps to one side.
+fn steps(half: f64, step: f64) -> i64 {
+    (half / step).round() as i64
+}
+
+/// The best pose with one heading.
+fn search_heading(
+    map: &BlurredMap,
+    points: &Points,
+    window: &Window,
+    preference: &Preference,
+    turn: i64,
+) -> BestPose {
+    let n = steps(window.half_width_m, window.step_m);
+    let heading_rad = window.centre.heading_rad + turn as f64 * window.step_rad;
+    let motion = Motion::new(&Pose2 { x_m: 0.0, y_m: 0.0, heading_rad });
+    let offsets_m = |centre_m: f64| -> Vec<f64> {
+        (-n..=n).map(|k| centre_m + k as f64 * window.step_m).collect()
+    };
+    let (xs_m, ys_m) = (offsets_m(window.centre.x_m), offsets_m(window.centre.y_m));
+    let sums = map.sums(points, &motion, &xs_m, &ys_m);
+    let off_rad = wrap_angle(heading_rad - preference.pose.heading_rad);
+    let heading_rad = wrap_angle(heading_rad);
     let mut best = BestPose { pose: window.centre, score: f64::NEG_INFINITY };
-    let mut turned: Vec<[f64; 2]> = Vec::with_capacity(points.len());
-    for turn in -n_turn..=n_turn {
-        let heading_rad = window.centre.heading_rad + turn as f64 * window.step_rad;
-        let motion = Motion::new(&Pose2 { x_m: 0.0, y_m: 0.0, heading_rad });
-        turned.clear();
-        turned.extend(points.positions_m.iter().map(|&p| map.in_squares(motion.direction(p))));
-        let off_rad = wrap_angle(heading_rad - preference.pose.heading_rad);
-        for a in -n..=n {
-            let x_m = window.centre.x_m + a as f64 * window.step_m;
-            for b in -n..=n {
-                let y_m = window.centre.y_m + b as f64 * window.step_m;
-                let [rows, columns] = [x_m, y_m].map(|v| v / map.square_m);
-                let sum: f64 = turned
-                    .iter()
-                    .map(|p| f64::from(map.value([p[0] + rows, p[1] + columns])))
-                    .sum();
-                let (dx, dy) = (x_m - preference.pose.x_m, y_m - preference.pose.y_m);
-                let score = sum / points.len() as f64
-                    - preference.per_m2 * (dx * dx + dy * dy)
-                    - preference.per_rad2 * off_rad * off_rad;
-                if best.score < score {
-                    let heading_rad = wrap_angle(heading_rad);
-                    best = BestPose { pose: Pose2 { x_m, y_m, heading_rad }, score };
-                }
+    for (&x_m, sums) in xs_m.iter().zip(sums.chunks_exact(ys_m.len())) {
+        for (&y_m, sum) in ys_m.iter().zip(sums) {
+            let (dx, dy) = (x_m - preference.pose.x_m, y_m - preference.pose.y_m);
+            let score = sum / points.len() as f64
+                - preference.per_m2 * (dx * dx + dy * dy)
+                - preference.per_rad2 * off_rad * off_rad;
+            if best.score < score {
+                best = BestPose { pose: Pose2 { x_m, y_m, heading_rad }, score };
             }
         }
     }

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan};
 use model::OdometryNoise;
 use nalgebra::Matrix3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::align::Weakness;
@@ -13,6 +14,7 @@ use crate::breaks::Scans;
 use crate::joint::{JointOptions, JointScans, align_jointly, pairs_along_path};
 use crate::matcher::{Matched, MatcherOptions, ScanMatcher, is_decided};
 use crate::odometry::OdometryModel;
+use crate::points::Points;
 use crate::source::{DriveScan, HeldScans, ScanSource, Stretch};
 
 /// How a drive is registered.
@@ -299,6 +301,9 @@ pub fn register_drive(
     starts.zip(ends).flat_map(of_part).collect()
 }
 
+/// The points of this many scans are computed in parallel before the scans are matched, one after the other.
+const SCANS_AT_ONCE: usize = 64;
+
 /// Registers a drive as if it had no breaks, and finds them.
 fn register_continuous(
     scans: &dyn ScanSource,
@@ -310,11 +315,13 @@ fn register_continuous(
     let model = OdometryModel::of_pieces(scans, odometry, noise, options);
     let odometry = model.corrected_poses(odometry);
     let mut matcher = ScanMatcher::new(*options, *noise).with_usual_noise(model.noise);
-    let matched: Vec<Matched> = odometry
-        .iter()
-        .enumerate()
-        .map(|(k, pose)| matcher.add(scans.scan(k).points().clone(), pose))
-        .collect();
+    let mut matched: Vec<Matched> = Vec::with_capacity(odometry.len());
+    for first in (0..odometry.len()).step_by(SCANS_AT_ONCE) {
+        let block = first..(first + SCANS_AT_ONCE).min(odometry.len());
+        let points = |k: usize| scans.scan(k).points().clone();
+        let points: Vec<Points> = block.clone().into_par_iter().map(points).collect();
+        matched.extend(block.zip(points).map(|(k, points)| matcher.add(points, &odometry[k])));
+    }
     let path_m = path_m(&odometry);
     let is_used: Vec<bool> = matched.iter().map(|matched| matched.is_used).collect();
     let mut pairs = pairs_along_path(&path_m);

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use crate::align::discount_normals;
 use crate::kept::Kept;
+use crate::order::map_order;
 use crate::points::{Motion, Points};
 use crate::source::ScanSource;
 use crate::sparse::BlockSystem;
@@ -67,6 +68,8 @@ pub struct JointScans<'a> {
     pub is_held: &'a [bool],
 }
 
+/// One of this many source points takes part before the last iteration.
+const EVERY: usize = 3;
 /// Scans with fewer points take no part in pairs.
 const MIN_POINTS: usize = 6;
 /// One point per square of this size takes part as a source \[m\].
@@ -86,7 +89,7 @@ const DAMPING: f64 = 1e-6;
 
 /// Aligns scans with each other: point to line, over the given pairs of scans in both directions, with the
 /// odometry between consecutive scans as prior. A scan without pairs, and with held neighbours or none,
-/// stays.
+/// stays. Before the last iteration, every third point of a source takes part and counts for three.
 ///
 /// If more than `options.max_at_once` scans move, each iteration has two steps. First, groups of consecutive scans
 /// move, each group rigidly. Then one stretch of them after the other moves while the rest stays. The first step
@@ -106,8 +109,8 @@ pub fn align_jointly(
 ) -> Vec<Pose2> {
     assert!(0 < options.max_at_once, "some poses are found");
     // In this order, consecutive pairs have scans in common.
-    let mut pairs = pairs.to_vec();
-    pairs.sort_by_key(|&(a, b)| a.max(b));
+    let order = map_order(pairs.iter().map(|&(a, b)| poses[a.max(b)]));
+    let pairs: Vec<(usize, usize)> = order.into_iter().map(|k| pairs[k]).collect();
     let kept = Kept::new(MAX_KEPT);
     let mut aligner = Aligner { scans, options, pairs, kept, poses: poses.to_vec() };
     let each = groups(scans, 1);
@@ -210,7 +213,7 @@ impl Unknowns {
 struct Aligner<'a> {
     scans: &'a JointScans<'a>,
     options: &'a JointOptions,
-    /// By the later scan.
+    /// By the place of the later scan.
     pairs: Vec<(usize, usize)>,
     kept: Kept<Prepared>,
     poses: Vec<Pose2>,
@@ -349,6 +352,8 @@ struct Gates {
     scale_m: f64,
     /// Information of a point exactly on its line \[1/m^2\].
     information: f64,
+    /// One of this many source points takes part.
+    every: usize,
 }
 
 impl Gates {
@@ -356,10 +361,14 @@ impl Gates {
         let last = options.iterations.saturating_sub(2).max(1);
         let share = (f64::from(iteration) / f64::from(last)).min(1.0);
         let between = |first: f64, last: f64| first + share * (last - first);
+        // Before the last iteration, few points are enough. Each of them counts for several.
+        let every = if iteration + 1 < options.iterations { EVERY } else { 1 };
+        let points_per_measurement = options.points_per_measurement / every as f64;
         Self {
+            every,
             gate_m: between(options.first_gate_m, options.last_gate_m),
             scale_m: between(options.first_scale_m, options.last_scale_m),
-            information: 1.0 / (options.noise_m * options.noise_m * options.points_per_measurement),
+            information: 1.0 / (options.noise_m * options.noise_m * points_per_measurement),
         }
     }
 }
@@ -403,7 +412,7 @@ fn pair_term(source: &Points, target: &Target, target_from_source: &Pose2, gates
     let [mut xx, mut xy, mut xh, mut yy, mut yh, mut hh] = [0.0; 6];
     let [mut gx, mut gy, mut gh] = [0.0; 3];
     let mut searches = AlongScan::new(target);
-    for (&q, normal) in source.positions_m.iter().zip(&source.normals) {
+    for (&q, normal) in source.positions_m.iter().zip(&source.normals).step_by(gates.every) {
         let Some(normal) = *normal else { continue };
         let turned = motion.direction(q);
         let moved = [turned[0] + target_from_source.x_m, turned[1] + target_from_source.y_m];

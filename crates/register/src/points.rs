@@ -20,8 +20,8 @@ const LINE_VARIANCE_RATIO: f64 = 0.06;
 /// Returns with smaller squared deviations are one point, and have no direction \[m^2\].
 const LEAST_DEVIATIONS_M2: f64 = 1e-6;
 
-/// The most squares in a table (4 MB).
-const MAX_THIN_SQUARES: f64 = 1_048_576.0;
+/// The most squares in a table (1 MB).
+const MAX_THIN_SQUARES: f64 = 8_388_608.0;
 
 /// Points in one frame. `positions_m` and `normals` have the same length.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -89,18 +89,19 @@ impl Points {
         sides: [usize; 2],
     ) -> Vec<usize> {
         let mut kept: Vec<usize> = Vec::new();
-        // 1 more than the position in `kept`; 0 for a square without a point.
-        let mut table = vec![0u32; sides[0] * sides[1]];
-        for (k, square) in squares.iter().enumerate() {
-            let [a, b] = [0, 1].map(|axis| (square[axis] - least[axis]) as usize);
-            let entry = &mut table[a * sides[1] + b];
-            if *entry == 0 {
-                kept.push(k);
-                *entry = kept.len() as u32;
-            } else {
-                let first = &mut kept[*entry as usize - 1];
-                if self.normals[*first].is_none() && self.normals[k].is_some() {
-                    *first = k;
+        // One bit per square.
+        let mut has_point = vec![0u64; (sides[0] * sides[1]).div_ceil(64)];
+        for with_normal in [true, false] {
+            for (k, square) in squares.iter().enumerate() {
+                if self.normals[k].is_some() != with_normal {
+                    continue;
+                }
+                let [a, b] = [0, 1].map(|axis| (square[axis] - least[axis]) as usize);
+                let at = a * sides[1] + b;
+                let (word, bit) = (&mut has_point[at / 64], 1 << (at % 64));
+                if *word & bit == 0 {
+                    *word |= bit;
+                    kept.push(k);
                 }
             }
         }
@@ -196,6 +197,19 @@ impl Sums {
     }
 }
 
+/// Cosine and sine of half of an angle between -180 and 180 deg, from those of the angle. Square roots and divisions
+/// give the same on every machine. The larger one of the two is a root, because the root of a small number is less
+/// accurate.
+fn half_angle([cos, sin]: [f64; 2]) -> [f64; 2] {
+    if 0.0 <= cos {
+        let half_cos = ((1.0 + cos) / 2.0).sqrt();
+        [half_cos, sin / (2.0 * half_cos)]
+    } else {
+        let half_sin = ((1.0 - cos) / 2.0).sqrt().copysign(sin);
+        [sin / (2.0 * half_sin), half_sin]
+    }
+}
+
 /// The normal at one return from its neighbours in firing order.
 fn normal_at(points: &[[f64; 2]], sums: &Sums, k: usize) -> Option<[f64; 2]> {
     let [x, y] = points[k];
@@ -218,7 +232,7 @@ fn normal_at(points: &[[f64; 2]], sums: &Sums, k: usize) -> Option<[f64; 2]> {
     if along < LEAST_DEVIATIONS_M2 || LINE_VARIANCE_RATIO * along <= across {
         return None;
     }
-    let (sin, cos) = libm::sincos(libm::atan2(xy, half_difference) / 2.0);
+    let [cos, sin] = half_angle([half_difference / radius, xy / radius]);
     let faces_away = -sin * x + cos * y > 0.0;
     Some(if faces_away { [sin, -cos] } else { [-sin, cos] })
 }
@@ -254,6 +268,17 @@ mod tests {
         (1..=25).for_each(|k| check(k, [-1.0, 0.0]));
         (35..=48).for_each(|k| check(k, [0.0, -1.0]));
         assert_eq!(points.normals[30], None);
+    }
+
+    #[test]
+    fn half_of_an_angle_has_its_cosine_and_sine() {
+        for k in -180..=180 {
+            let angle = f64::from(k).to_radians();
+            let [cos, sin] = half_angle([angle.cos(), angle.sin()]);
+            assert!((cos - (angle / 2.0).cos()).abs() < 1e-12, "{k}");
+            // At -180 and 180 deg, the sign is that of a rounding error.
+            assert!((sin - (angle / 2.0).sin()).abs() < 1e-12, "{k}");
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Points that scans are aligned with, sorted into squares for the search of the nearest point.
 
-use crate::points::{Points, length};
+use crate::points::Points;
 
 /// Side of a square \[m\]. Returns on a wall are 0.05 m apart or more, so that a square has one or two.
 const SQUARE_M: f64 = 0.1;
@@ -122,23 +122,25 @@ impl Target {
     /// Rows of squares are searched from the inside out, as far as a point can still be nearer.
     #[inline]
     pub fn nearest(&self, position_m: [f64; 2], max_m: f64) -> Option<usize> {
-        self.nearest_from(position_m, max_m, None).map(|point| point as usize)
+        debug_assert!(max_m <= self.reach_m, "the search does not reach farther than the target");
+        self.search(position_m, max_m, None, 0.0).point.map(|point| point as usize)
     }
 
-    /// The nearest point. A `seed` that is near makes the search short.
+    /// Searches the nearest point. A `seed` that is near makes the search short. The search goes `margin_m` farther
+    /// than to the nearest point, to find the second one if it is hardly farther away.
     #[inline]
-    fn nearest_from(&self, [x, y]: [f64; 2], max_m: f64, seed: Option<u32>) -> Option<u32> {
-        debug_assert!(max_m <= self.reach_m, "the search does not reach farther than the target");
+    fn search(&self, [x, y]: [f64; 2], max_m: f64, seed: Option<u32>, margin_m: f64) -> Best {
         let [a, b] =
             [(x - self.corner_m[0]) / self.square_m, (y - self.corner_m[1]) / self.square_m];
         let reach = max_m / self.square_m;
         // Also false for NaN.
         let is_near =
             |at: f64, axis: usize| -reach <= at && at <= self.n_squares[axis] as f64 + reach;
+        let m2 = max_m * max_m;
+        let mut best = Best { m2, second_m2: m2, margin_m, reach, point: None };
         if !(is_near(a, 0) && is_near(b, 1)) {
-            return None;
+            return best;
         }
-        let mut best = Best { m2: max_m * max_m, reach, point: None };
         if let Some(point) = seed {
             let p = self.points.positions_m[point as usize];
             best.offer(p, [x, y], self.square_m, || point);
@@ -156,7 +158,7 @@ impl Target {
             self.search_row(row - step, to_below, b, [x, y], &mut best);
             self.search_row(row + step, to_above, b, [x, y], &mut best);
         }
-        best.point
+        best
     }
 
     /// Searches the squares of a row that may have a nearer point. `to_row` is the distance from the
@@ -215,7 +217,11 @@ fn squared(p: [f64; 2], [x, y]: [f64; 2]) -> f64 {
 /// The nearest point so far.
 struct Best {
     m2: f64,
-    /// The distance in squares.
+    /// Of the second nearest point, or of the end of the search.
+    second_m2: f64,
+    /// The search goes so much farther than to the nearest point \[m\].
+    margin_m: f64,
+    /// How far the search goes, in squares.
     reach: f64,
     point: Option<u32>,
 }
@@ -226,13 +232,24 @@ impl Best {
     fn offer(&mut self, p: [f64; 2], at: [f64; 2], square_m: f64, point: impl Fn() -> u32) {
         let m2 = squared(p, at);
         if m2 < self.m2 {
-            *self = Self { m2, reach: m2.sqrt() / square_m, point: Some(point()) };
+            self.second_m2 = self.m2;
+            self.m2 = m2;
+            self.reach = (m2.sqrt() + self.margin_m) / square_m;
+            self.point = Some(point());
+        } else if m2 < self.second_m2 && self.point != Some(point()) {
+            self.second_m2 = m2;
         }
+    }
+
+    /// All other points are at least this far away \[m\].
+    #[inline]
+    fn others_m(&self) -> f64 {
+        self.second_m2.sqrt().min(self.m2.sqrt() + self.margin_m)
     }
 }
 
 /// Repeated searches of the nearest points to the points of a scan that moves a little between them. What
-/// the last search found limits the next one. The results are those of [`Target::nearest`].
+/// the last search found shortens the next one, or replaces it. The results are those of [`Target::nearest`].
 pub(crate) struct Searches<'a> {
     target: &'a Target,
     /// The last search of each point.
@@ -243,33 +260,44 @@ pub(crate) struct Searches<'a> {
 struct Search {
     position_m: [f64; 2],
     point: Option<u32>,
-    /// No point is nearer to the position than this \[m\]. Used without a point.
-    empty_m: f64,
+    /// All other points are at least this far from the position \[m\].
+    others_m: f64,
 }
 
+/// A search goes so much farther than to the nearest point \[m\]. While a scan moves by less than about half of it,
+/// most points need no other search. The points on a wall are about 0.05 m apart.
+const MARGIN_M: f64 = 0.03;
 /// Rounding errors of the distances that [`Searches`] compares are smaller \[m\].
 const ROUNDING_M: f64 = 1e-9;
 
 impl<'a> Searches<'a> {
     pub(crate) fn new(target: &'a Target, n_points: usize) -> Self {
-        let nothing = Search { position_m: [0.0; 2], point: None, empty_m: 0.0 };
+        let nothing = Search { position_m: [0.0; 2], point: None, others_m: 0.0 };
         Self { target, last: vec![nothing; n_points] }
     }
 
     /// The target point nearest to the point `k` at a position, if one is nearer than `max_m`.
     #[inline]
     pub(crate) fn nearest(&mut self, k: usize, position_m: [f64; 2], max_m: f64) -> Option<usize> {
-        let last = &mut self.last[k];
-        if last.point.is_none() {
-            let [x, y] = [0, 1].map(|axis| position_m[axis] - last.position_m[axis]);
-            // Nothing is within a circle around the last position that contains the new one.
-            if max_m + length([x, y]) + ROUNDING_M < last.empty_m {
-                return None;
+        let last = self.last[k];
+        let moved_m = squared(position_m, last.position_m).sqrt();
+        // The other points are outside a circle around the last position. A circle around the new one is inside of it.
+        let inside_m = last.others_m - moved_m - ROUNDING_M;
+        match last.point {
+            None if max_m < inside_m => return None,
+            Some(point) => {
+                let m2 = squared(self.target.points.positions_m[point as usize], position_m);
+                if m2.sqrt() < inside_m {
+                    return (m2 < max_m * max_m).then_some(point as usize);
+                }
             }
+            None => {}
         }
-        let point = self.target.nearest_from(position_m, max_m, last.point);
-        *last = Search { position_m, point, empty_m: max_m };
-        point.map(|point| point as usize)
+        // Neighbouring points of a scan have neighbouring partners.
+        let seed = last.point.or_else(|| self.last[k.checked_sub(1)?].point);
+        let best = self.target.search(position_m, max_m, seed, MARGIN_M);
+        self.last[k] = Search { position_m, point: best.point, others_m: best.others_m() };
+        best.point.map(|point| point as usize)
     }
 }
 
@@ -305,7 +333,7 @@ impl<'a> AlongScan<'a> {
             }
             seed
         });
-        let found = self.target.nearest_from(position_m, max_m, seed);
+        let found = self.target.search(position_m, max_m, seed, 0.0).point;
         self.last = found.or(self.last);
         found.map(|point| point as usize)
     }
