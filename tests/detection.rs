@@ -270,6 +270,10 @@ fn the_options_of_loop_detection_are_checked() {
     for (option, message) in [
         ("detect.min_path_m=5", "`detect.min_path_m` is 5, expected twice `detect.place_half_m`"),
         ("register.spacing_m=0", "`register.spacing_m` is 0, expected more than 0"),
+        (
+            "register.matcher.search_m=-0.1",
+            "`register.matcher.search_m` is -0.1, expected more than 0",
+        ),
         ("detect.places=3", "did you mean"),
         ("evaluate.truth={}", "`evaluate.truth` has the options of `ingest.pose`"),
     ] {

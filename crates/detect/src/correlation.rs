@@ -232,13 +232,12 @@ fn sum_all(reference: &Reference, query: &Query) -> Vec<i32> {
     let free_stride = query.n + FREE_LANES;
     for turned in &query.headings {
         for next in (0..N_SHIFTS).step_by(ROWS) {
-            // The last block begins with shifts of the one before.
+            // The last block overlaps the one before.
             let shift = next.min(N_SHIFTS - ROWS);
             let shifted = &reference.values[shift * reference.stride..];
             let on_walls: [[i32; LANES]; ROWS] =
                 sum_rows(shifted, reference.stride, &turned.walls, MAX_VALUES);
-            // The first row is the square of the query that the last of the shifts moves to the first square of the
-            // reference.
+            // The first row is that of the last shift.
             let shifted = &turned.free[(N_SHIFTS - ROWS - shift) * free_stride..];
             let in_free: [[i32; FREE_LANES]; ROWS] =
                 sum_rows(shifted, free_stride, &reference.walls, MAX_FREE);
@@ -277,9 +276,7 @@ fn sum_rows<T: Copy + Default + AddAssign + Into<i32>, const N: usize>(
         let [mut a, mut b, mut c, mut d] = [[T::default(); N]; ROWS];
         for &at in walls {
             // The margin has room for all lanes.
-            let Some(rows) = values.get(at as usize..at as usize + (ROWS - 1) * stride + N) else {
-                break;
-            };
+            let rows = &values[at as usize..][..(ROWS - 1) * stride + N];
             add(&mut a, rows);
             add(&mut b, &rows[stride..]);
             add(&mut c, &rows[2 * stride..]);
@@ -296,7 +293,7 @@ fn sum_rows<T: Copy + Default + AddAssign + Into<i32>, const N: usize>(
 
 #[inline(always)]
 fn add<T: Copy + AddAssign, const N: usize>(sums: &mut [T; N], values: &[T]) {
-    let Some(values) = values.first_chunk::<N>() else { return };
+    let values = &values[..N];
     for k in 0..N {
         sums[k] += values[k];
     }

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use dataset::OutOfRange;
 use ingest::Origin;
-use register::RegisterOptions;
+use register::{MatcherOptions, RegisterOptions};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -110,7 +110,18 @@ pub(crate) fn check(
 }
 
 fn check_register(options: &RegisterOptions) -> Result<(), OutOfRange> {
+    let MatcherOptions { align, .. } = options.matcher;
     for (key, found) in [
+        ("matcher.target_path_m", options.matcher.target_path_m),
+        ("matcher.target_voxel_m", options.matcher.target_voxel_m),
+        ("matcher.target_half_width_m", options.matcher.target_half_width_m),
+        ("matcher.search_m", options.matcher.search_m),
+        ("matcher.search_deg", options.matcher.search_deg),
+        ("matcher.align.first_gate_m", align.first_gate_m),
+        ("matcher.align.last_gate_m", align.last_gate_m),
+        ("matcher.align.huber_m", align.huber_m),
+        ("matcher.align.noise_m", align.noise_m),
+        ("matcher.align.points_per_measurement", align.points_per_measurement),
         ("spacing_m", options.spacing_m),
         ("turn_deg", options.turn_deg),
         ("full_circle_spacing_m", options.full_circle_spacing_m),

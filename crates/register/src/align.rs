@@ -215,7 +215,8 @@ struct Sums {
 /// a little about the position along it: 0.4 % of the largest information is not counted in the
 /// direction with the least.
 ///
-/// Before the gate has its last value, every third point takes part and counts for three, if there are at least 300.
+/// Before the gate has its last value, every third point takes part and counts for three, if there are at least 300. In
+/// the last iteration, all points do.
 ///
 /// # Panics
 /// If `first_gate_m` is more than the reach of the target (in debug builds).
@@ -229,7 +230,8 @@ pub fn align(
     let mut pose = *start;
     let mut searches = Searches::new(target, source.len());
     let is_large = EVERY * MIN_FEW_POINTS <= source.len();
-    let every = |iteration| if is_large && iteration < LAST_GATE_ITERATION { EVERY } else { 1 };
+    let n_first = LAST_GATE_ITERATION.min(options.max_iterations.saturating_sub(1));
+    let every = |iteration| if is_large && iteration < n_first { EVERY } else { 1 };
     let mut sums =
         sum_pairs(source, target, &mut searches, &pose, every(0), options.first_gate_m, options);
     for iteration in 0..options.max_iterations {

@@ -96,6 +96,9 @@ impl BlurredMap {
         let in_squares = |of: &[f64]| of.iter().map(|v| v / self.square_m).collect::<Vec<f64>>();
         let (rows, columns) = (in_squares(xs_m), in_squares(ys_m));
         let mut sums = vec![0.0; rows.len() * columns.len()];
+        if sums.is_empty() {
+            return sums;
+        }
         let mut at = vec![None; columns.len()];
         for &p in &points.positions_m {
             let [row, column] = self.in_squares(turned.direction(p));

@@ -68,7 +68,8 @@ pub struct JointScans<'a> {
     pub is_held: &'a [bool],
 }
 
-/// One of this many source points takes part before the last iteration.
+/// One of this many source points takes part before the last iteration. A scan has pairs with many others, so that few
+/// points per pair are enough.
 const EVERY: usize = 3;
 /// Scans with fewer points take no part in pairs.
 const MIN_POINTS: usize = 6;

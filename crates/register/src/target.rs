@@ -122,7 +122,6 @@ impl Target {
     /// Rows of squares are searched from the inside out, as far as a point can still be nearer.
     #[inline]
     pub fn nearest(&self, position_m: [f64; 2], max_m: f64) -> Option<usize> {
-        debug_assert!(max_m <= self.reach_m, "the search does not reach farther than the target");
         self.search(position_m, max_m, None, 0.0).point.map(|point| point as usize)
     }
 
@@ -130,6 +129,7 @@ impl Target {
     /// than to the nearest point, to find the second one if it is hardly farther away.
     #[inline]
     fn search(&self, [x, y]: [f64; 2], max_m: f64, seed: Option<u32>, margin_m: f64) -> Best {
+        debug_assert!(max_m <= self.reach_m, "the search does not reach farther than the target");
         let [a, b] =
             [(x - self.corner_m[0]) / self.square_m, (y - self.corner_m[1]) / self.square_m];
         let reach = max_m / self.square_m;
@@ -249,11 +249,14 @@ impl Best {
 }
 
 /// Repeated searches of the nearest points to the points of a scan that moves a little between them. What
-/// the last search found shortens the next one, or replaces it. The results are those of [`Target::nearest`].
+/// the last search found shortens the next one, or replaces it. The results are those of [`Target::nearest`]; of two
+/// equally near points, it can be the other one.
 pub(crate) struct Searches<'a> {
     target: &'a Target,
     /// The last search of each point.
     last: Vec<Search>,
+    /// The point that was found last. Neighbouring points of a scan have neighbouring partners.
+    found: Option<u32>,
 }
 
 #[derive(Clone, Copy)]
@@ -273,7 +276,7 @@ const ROUNDING_M: f64 = 1e-9;
 impl<'a> Searches<'a> {
     pub(crate) fn new(target: &'a Target, n_points: usize) -> Self {
         let nothing = Search { position_m: [0.0; 2], point: None, others_m: 0.0 };
-        Self { target, last: vec![nothing; n_points] }
+        Self { target, last: vec![nothing; n_points], found: None }
     }
 
     /// The target point nearest to the point `k` at a position, if one is nearer than `max_m`.
@@ -293,9 +296,8 @@ impl<'a> Searches<'a> {
             }
             None => {}
         }
-        // Neighbouring points of a scan have neighbouring partners.
-        let seed = last.point.or_else(|| self.last[k.checked_sub(1)?].point);
-        let best = self.target.search(position_m, max_m, seed, MARGIN_M);
+        let best = self.target.search(position_m, max_m, last.point.or(self.found), MARGIN_M);
+        self.found = best.point.or(self.found);
         self.last[k] = Search { position_m, point: best.point, others_m: best.others_m() };
         best.point.map(|point| point as usize)
     }
