@@ -8,6 +8,7 @@ the folders that it mounts in a temporary folder. An index whose exit code the t
 is away at the first attempts. Needs kubernetes-validate, botocore, google-cloud-batch and pyyaml.
 """
 
+import fnmatch
 import json
 import os
 import string
@@ -59,11 +60,23 @@ def aws(values):
         parameters[word.removeprefix("Ref::")] if word.startswith("Ref::") else word
         for word in container["command"]
     ]
-    rules = [rule for rule in definition["retryStrategy"]["evaluateOnExit"] if "onExitCode" in rule]
+    rules = definition["retryStrategy"]["evaluateOnExit"]
+    assert len(rules) <= 5
 
-    def retries(code):
-        matching = [rule for rule in rules if rule["onExitCode"] in (str(code), "*")]
-        return matching[0]["action"] == "RETRY"
+    def action(code, reason, status):
+        """Of the first rule whose patterns all match. Without one, AWS tries again."""
+        found = {"onExitCode": code, "onReason": reason, "onStatusReason": status}
+        matches = lambda key, pattern: fnmatch.fnmatchcase(found[key], pattern)
+        for rule in rules:
+            patterns = [(key, rule[key]) for key in found if key in rule]
+            # A container that did not start has no exit code.
+            if all(found[key] is not None and matches(key, pattern) for key, pattern in patterns):
+                return rule["action"]
+        return "RETRY"
+
+    assert action(None, "CannotPullContainerError: x", "Task failed to start") == "EXIT"
+    assert action(None, "", "Host EC2 (instance i-1) terminated.") == "RETRY"
+    retries = lambda code: action(str(code), "", "Essential container in task exited") == "RETRY"
 
     mounts = [mount["containerPath"] for mount in container["mountPoints"]]
     return command, mounts, "AWS_BATCH_JOB_ARRAY_INDEX", retries

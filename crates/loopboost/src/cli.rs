@@ -227,9 +227,7 @@ fn model_arg(stage: Stage) -> Arg {
         Stage::Detect => {
             "Find loop closures in the logs of the pipeline with this model.json, or the only one in this folder: runs all stages from ingest to optimize, and the report"
         }
-        _ => {
-            "The model.json that `loopboost detect --model` was run with, for a folder of that command"
-        }
+        _ => "The model that `loopboost detect --model` was run with, for a folder of that command",
     };
     let parser = clap::value_parser!(PathBuf);
     Arg::new(MODEL).long(MODEL).value_name("MODEL.json").value_parser(parser).help(help)

@@ -114,7 +114,8 @@ pub(crate) fn file_of(path: &Path) -> Result<PathBuf> {
 
 /// All files named `model.json` in a folder and its subfolders, sorted by path.
 fn model_files(folder: &Path) -> Result<Vec<PathBuf>> {
-    let pattern = folder.join("**/model.json");
+    let folder_pattern = glob::Pattern::escape(&folder.to_string_lossy());
+    let pattern = Path::new(&folder_pattern).join("**/model.json");
     let files: Vec<PathBuf> = glob::glob(&pattern.to_string_lossy())
         .with_context(|| format!("cannot search {}", folder.display()))?
         .collect::<Result<_, _>>()

@@ -38,7 +38,7 @@ pub(crate) struct PlanArgs {
     /// Override a key, for example --set label.positive_radius_m=2
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
-    /// Plan for `loopboost detect` with this model.json
+    /// Plan for `loopboost detect` with this model.json, or the only one in this folder
     #[arg(long, value_name = "MODEL.json")]
     model: Option<PathBuf>,
     /// The folder that the paths of logs are relative to; the default is the deepest folder with the pipeline file and

@@ -42,7 +42,7 @@ pub(crate) struct LocateArgs {
     /// Read the logs with the `ingest` options of this pipeline, instead of those of the map
     #[arg(long, value_name = "PIPELINE.toml")]
     pipeline: Option<PathBuf>,
-    /// The model whose detector judges how well scans fit; without it, starting values
+    /// The model.json, or a folder with one, whose detector judges how well scans fit; without it, starting values
     #[arg(long, value_name = "MODEL.json")]
     model: Option<PathBuf>,
     /// Use no odometry, even if the logs have it
