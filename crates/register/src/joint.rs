@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::align::discount_normals;
 use crate::kept::Kept;
-use crate::order::map_order;
+use crate::map_order::map_order;
 use crate::points::{Motion, Points};
 use crate::source::ScanSource;
 use crate::sparse::BlockSystem;
