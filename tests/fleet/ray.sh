@@ -23,29 +23,14 @@ cleanup() {
     rm -rf "$dir"
 }
 trap cleanup EXIT
+. "$root/tests/fleet/logs.sh"
 fail() {
     echo "FAILED: $*" >&2
     tail -n 40 "$dir"/*.log >&2
     exit 1
 }
 
-names=$(seq -f '"log-%g"' -s ', ' 1 8)
-cat > "$dir/simulate.toml" <<T
-seed = 7
-[simulate]
-logs = [$names]
-length_m = 15.0
-people = 0
-T
-cat > "$dir/fleet.toml" <<T
-[ingest]
-logs = ["made/logs"]
-pose.topic = "/ground_truth"
-T
-"$program" simulate "$dir/simulate.toml" --out "$dir/made" > "$dir/whole.log" 2>&1 || fail simulate
-for stage in ingest subsample featurize; do
-    "$program" $stage "$dir/fleet.toml" --out "$dir/whole" >> "$dir/whole.log" 2>&1 || fail $stage
-done
+make_logs "$program" "$dir" 8 "$dir/whole.log"
 
 # The first attempt at one of the tasks does not end, and says which process it is. The one at another task ends with 75.
 cat > "$dir/bin/loopboost" <<P
@@ -74,7 +59,5 @@ kill -9 "$worker" "$(cat "$dir/hangs")"
 wait $ingest || fail "deploy/ray/ingest.py"
 grep -q 'retries remaining' "$dir/ingest.log" || fail "no worker died"
 [ -d "$dir/troubled" ] || fail "no task ended with 75"
-for kind in scans poses keyframes features; do
-    diff -rq "$dir/whole/$kind" "$dir/spread/$kind" || fail "$kind differs"
-done
+check_tables "$dir" "$dir/spread" 8
 echo "ray: 8 logs, one worker of two killed: the same tables as those of one process"

@@ -22,6 +22,7 @@ cleanup() {
     rm -rf "$dir"
 }
 trap cleanup EXIT
+. "$root/tests/fleet/logs.sh"
 fail() {
     echo "FAILED: $*" >&2
     tail -n 30 "$dir"/log/*.log "$dir"/slurm-*.out >&2 2> /dev/null || true
@@ -29,24 +30,8 @@ fail() {
 }
 
 # Twenty-four short logs. `loopboost` is found by the jobs, and hangs where a file says so.
-mkdir -p "$dir"/{bin,run,log,state,munge,work}
-names=$(seq -f '"log-%02.0f"' -s ', ' 1 24)
-cat > "$dir/work/simulate.toml" <<T
-seed = 7
-[simulate]
-logs = [$names]
-length_m = 15.0
-people = 0
-T
-cat > "$dir/work/fleet.toml" <<T
-[ingest]
-logs = ["made/logs"]
-pose.topic = "/ground_truth"
-T
-"$program" simulate "$dir/work/simulate.toml" --out "$dir/work/made" > "$dir/log/whole.log" 2>&1 || fail simulate
-for stage in ingest subsample featurize; do
-    "$program" $stage "$dir/work/fleet.toml" --out "$dir/work/whole" >> "$dir/log/whole.log" 2>&1 || fail $stage
-done
+mkdir -p "$dir"/{bin,run,log,state,munge,drives}
+make_logs "$program" "$dir/drives" 24 "$dir/log/whole.log"
 cat > "$dir/bin/loopboost" <<P
 #!/bin/bash
 # The first attempts at two of the tasks do not end.
@@ -121,7 +106,7 @@ done
 # The tasks.
 cd "$dir"
 start=$SECONDS
-sbatch "$root/deploy/slurm/ingest.sh" "$dir/work/fleet.toml" "$dir/work/out"
+sbatch "$root/deploy/slurm/ingest.sh" "$dir/drives/fleet.toml" "$dir/drives/out"
 wait_for() {
     for _ in $(seq "$1"); do
         if eval "$2"; then return; fi
@@ -160,8 +145,5 @@ for lost in "$first" "$node"; do
 done
 wait_for 300 '[ -z "$(squeue -h)" ]' "jobs are left: $(squeue)"
 echo "$((SECONDS - start)) s"
-for name in "$dir"/work/whole/{scans,poses,keyframes,features}/*.parquet; do
-    cmp "$name" "$dir/work/out/${name#"$dir/work/whole/"}" || fail "other bytes"
-done
-[ "$(ls "$dir"/work/out/features | wc -l)" = 24 ] || fail "24 logs were expected"
+check_tables "$dir/drives" "$dir/drives/out" 24
 echo "24 logs, two nodes lost: the same bytes as in one process"

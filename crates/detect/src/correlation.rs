@@ -27,7 +27,6 @@ const BLUR_REACH: usize = 2;
 
 /// Values that are added at once: the shifts of one row, rounded up to whole registers.
 const LANES: usize = 16;
-const FREE_LANES: usize = 16;
 /// Shifts along x whose sums are made at once.
 const ROWS: usize = 4;
 /// Sums of this many values fit into 16 bits.
@@ -49,7 +48,8 @@ pub(crate) struct Reference {
 /// A submap at each of the headings.
 #[derive(Debug, Clone)]
 pub(crate) struct Query {
-    n: usize,
+    /// Squares between two rows of [`Turned::free`].
+    stride: usize,
     square_m: f64,
     n_walls: usize,
     headings: Vec<Turned>,
@@ -106,7 +106,7 @@ impl Reference {
             values[(a as usize + REACH) * stride + b as usize + REACH] -= UNIT as i16;
         }
         clear_margin(&mut values, n, stride);
-        let walls = walls.into_iter().map(|wall| flat(wall, n + FREE_LANES)).collect();
+        let walls = walls.into_iter().map(|wall| flat(wall, n + LANES)).collect();
         Self { values, stride, walls }
     }
 
@@ -136,7 +136,12 @@ impl Query {
         let n = submap.n_squares();
         let (walls, free) = (squares(submap, Square::Occupied), squares(submap, Square::Free));
         let headings = (0..N_HEADINGS).map(|k| Turned::new(n, &walls, &free, heading_rad(k)));
-        Self { n, square_m: submap.square_m(), n_walls: walls.len(), headings: headings.collect() }
+        Self {
+            stride: n + LANES,
+            square_m: submap.square_m(),
+            n_walls: walls.len(),
+            headings: headings.collect(),
+        }
     }
 
     /// Number of walls.
@@ -159,7 +164,7 @@ impl Turned {
         let mut turned: Vec<[u32; 2]> = walls.iter().filter_map(|&w| turn(w)).collect();
         turned.sort_unstable();
         turned.dedup();
-        let stride = n + FREE_LANES;
+        let stride = n + LANES;
         let mut image = vec![0u8; (n + 2 * REACH) * stride];
         for [a, b] in free.iter().filter_map(|&f| turn(f)) {
             image[(a as usize + REACH) * stride + b as usize + REACH] = 1;
@@ -229,18 +234,15 @@ fn all_scores_avx2(reference: &Reference, query: &Query) -> Vec<i32> {
 #[inline(always)]
 fn sum_all(reference: &Reference, query: &Query) -> Vec<i32> {
     let mut values = Vec::with_capacity(N_HEADINGS * N_SHIFTS * N_SHIFTS);
-    let free_stride = query.n + FREE_LANES;
     for turned in &query.headings {
         for next in (0..N_SHIFTS).step_by(ROWS) {
             // The last block overlaps the one before.
             let shift = next.min(N_SHIFTS - ROWS);
             let shifted = &reference.values[shift * reference.stride..];
-            let on_walls: [[i32; LANES]; ROWS] =
-                sum_rows(shifted, reference.stride, &turned.walls, MAX_VALUES);
+            let on_walls = sum_rows(shifted, reference.stride, &turned.walls, MAX_VALUES);
             // The first row is that of the last shift.
-            let shifted = &turned.free[(N_SHIFTS - ROWS - shift) * free_stride..];
-            let in_free: [[i32; FREE_LANES]; ROWS] =
-                sum_rows(shifted, free_stride, &reference.walls, MAX_FREE);
+            let shifted = &turned.free[(N_SHIFTS - ROWS - shift) * query.stride..];
+            let in_free = sum_rows(shifted, query.stride, &reference.walls, MAX_FREE);
             for row in next - shift..ROWS {
                 // The row k of `in_free` is the shift ROWS - 1 - k, and its lane k the shift 2 REACH - k.
                 let (on_walls, in_free) = (&on_walls[row], &in_free[ROWS - 1 - row]);
@@ -264,19 +266,19 @@ fn heading_rad(k: usize) -> f64 {
 /// Sums of the values at the walls, shifted by each lane along y, and by each row along x. Up to `most` values can be
 /// added without overflow.
 #[inline(always)]
-fn sum_rows<T: Copy + Default + AddAssign + Into<i32>, const N: usize>(
+fn sum_rows<T: Copy + Default + AddAssign + Into<i32>>(
     values: &[T],
     stride: usize,
     walls: &[u32],
     most: usize,
-) -> [[i32; N]; ROWS] {
-    let mut sums = [[0i32; N]; ROWS];
+) -> [[i32; LANES]; ROWS] {
+    let mut sums = [[0i32; LANES]; ROWS];
     for walls in walls.chunks(most) {
         // Four variables and no loop over them: then the compiler keeps them in registers.
-        let [mut a, mut b, mut c, mut d] = [[T::default(); N]; ROWS];
+        let [mut a, mut b, mut c, mut d] = [[T::default(); LANES]; ROWS];
         for &at in walls {
             // The margin has room for all lanes.
-            let rows = &values[at as usize..][..(ROWS - 1) * stride + N];
+            let rows = &values[at as usize..][..(ROWS - 1) * stride + LANES];
             add(&mut a, rows);
             add(&mut b, &rows[stride..]);
             add(&mut c, &rows[2 * stride..]);
@@ -292,9 +294,9 @@ fn sum_rows<T: Copy + Default + AddAssign + Into<i32>, const N: usize>(
 }
 
 #[inline(always)]
-fn add<T: Copy + AddAssign, const N: usize>(sums: &mut [T; N], values: &[T]) {
-    let values = &values[..N];
-    for k in 0..N {
+fn add<T: Copy + AddAssign>(sums: &mut [T; LANES], values: &[T]) {
+    let values = &values[..LANES];
+    for k in 0..LANES {
         sums[k] += values[k];
     }
 }

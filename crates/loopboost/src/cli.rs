@@ -123,7 +123,7 @@ enum ModelCommand {
     Diff {
         /// A model.json, or a folder with one model
         a: PathBuf,
-        /// Another one
+        /// Another model.json, or a folder with one model
         b: PathBuf,
     },
     /// Check every value and the digest of a model, or of all models in a folder

@@ -96,9 +96,6 @@ impl BlurredMap {
         let in_squares = |of: &[f64]| of.iter().map(|v| v / self.square_m).collect::<Vec<f64>>();
         let (rows, columns) = (in_squares(xs_m), in_squares(ys_m));
         let mut sums = vec![0.0; rows.len() * columns.len()];
-        if sums.is_empty() {
-            return sums;
-        }
         let mut at = vec![None; columns.len()];
         for &p in &points.positions_m {
             let [row, column] = self.in_squares(turned.direction(p));
@@ -185,9 +182,9 @@ pub fn search(
     })
 }
 
-/// Number of steps to one side.
+/// Number of steps to one side. A negative half counts as 0.
 fn steps(half: f64, step: f64) -> i64 {
-    (half / step).round() as i64
+    ((half / step).round() as i64).max(0)
 }
 
 /// The best pose with one heading.
