@@ -33,7 +33,7 @@ fn files(folders: &[&str], endings: &[&str]) -> Vec<PathBuf> {
 }
 
 fn rust_files() -> Vec<PathBuf> {
-    files(&["crates", "tests", "fuzz"], &[".rs"])
+    files(&["crates", "tests", "fuzz", "python"], &[".rs"])
 }
 
 /// The path inside the repository.

@@ -83,7 +83,7 @@ fn retired(text: &str) -> BTreeSet<&'static str> {
 
 #[test]
 fn no_retired_name_is_used() {
-    let folders = ["crates", "tests", "fuzz", "docs", "pipelines", "fixtures", ".ci"];
+    let folders = ["crates", "tests", "fuzz", "python", "docs", "pipelines", "fixtures", ".ci"];
     // CONTRIBUTING.md lists some phrases as examples, CHANGELOG.md the old names of options.
     let pages = ["README.md", "ARCHITECTURE.md", "Cargo.toml", "deny.toml"];
     let endings = [".rs", ".md", ".toml", ".py", ".json", "run"];

@@ -1,0 +1,95 @@
+//! Models.
+
+use std::path::PathBuf;
+
+use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+use rayon::prelude::*;
+
+use crate::{Class, error};
+
+/// Pairs that one thread scores at once.
+const CHUNK: usize = 16384;
+
+/// A model.json.
+#[pyclass(frozen, module = "loopboost._loopboost")]
+pub(crate) struct Model(model::Model);
+
+#[pymethods]
+impl Model {
+    /// Reads a file, and checks every value and the digest.
+    #[new]
+    fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
+        let loaded = py.detach(|| model::load(&path));
+        loaded.map(Self).map_err(|failed| error(py, Class::Input, failed))
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        &self.0.name
+    }
+
+    #[getter]
+    fn version(&self) -> String {
+        self.0.version.to_string()
+    }
+
+    #[getter]
+    fn learner(&self) -> &'static str {
+        self.0.classifier.learner.name()
+    }
+
+    #[getter]
+    fn has_detector(&self) -> bool {
+        self.0.detector.is_some()
+    }
+
+    /// The sections `features`, `scans`, `training`, `measured` or `operating_points` of the file, as JSON.
+    fn section(&self, py: Python<'_>, name: &str) -> PyResult<String> {
+        let model = &self.0;
+        let text = match name {
+            "features" => serde_json::to_string(&model.features),
+            "scans" => serde_json::to_string(&model.scans),
+            "training" => serde_json::to_string(&model.training),
+            "measured" => serde_json::to_string(&model.measured),
+            "operating_points" => serde_json::to_string(&model.operating_points),
+            _ => return Err(error(py, Class::Argument, format!("no section `{name}`"))),
+        };
+        text.map_err(|failed| error(py, Class::Input, failed))
+    }
+
+    /// The card of the model as text.
+    fn card(&self) -> String {
+        model::card(&self.0)
+    }
+
+    /// Whether scans that cover this angle are of the kind that the model was trained on; if not, raises an error.
+    fn check_coverage(&self, py: Python<'_>, coverage_deg: f32) -> PyResult<()> {
+        let is_ring = dataset::FULL_RING_DEG <= coverage_deg;
+        let checked = self.0.scans.check(coverage_deg, is_ring);
+        checked.map_err(|other| error(py, Class::Input, other))
+    }
+
+    /// Confidences of pairs of rows of `features`, `(n_pairs,)`. `a` and `b` have the same length, and no row number is
+    /// out of range.
+    fn score_pairs<'py>(
+        &self,
+        py: Python<'py>,
+        features: PyReadonlyArray2<'py, f64>,
+        a: PyReadonlyArray1<'py, u64>,
+        b: PyReadonlyArray1<'py, u64>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let n_features = self.0.features.names.len();
+        let (features, a, b) = (features.as_slice()?, a.as_slice()?, b.as_slice()?);
+        let classifier = &self.0.classifier;
+        let score = |(a, b): (&[u64], &[u64])| {
+            let pairs = a.iter().zip(b).map(|(&a, &b)| (a as usize, b as usize));
+            classifier.score_pairs(features, n_features, pairs)
+        };
+        let confidences: Vec<f64> = py.detach(|| {
+            let chunks = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK));
+            chunks.map(score).collect::<Vec<_>>().concat()
+        });
+        Ok(PyArray1::from_vec(py, confidences))
+    }
+}

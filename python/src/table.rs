@@ -1,0 +1,138 @@
+//! Tables of a run folder as Arrow streams.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use arrow_array::ffi_stream::FFI_ArrowArrayStream;
+use arrow_array::{RecordBatch, RecordBatchReader};
+use arrow_schema::{ArrowError, Schema, SchemaRef};
+use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
+use pyo3::prelude::*;
+use pyo3::types::PyCapsule;
+
+use crate::{Class, error};
+
+/// Rows of one or more Parquet files with the same columns. They are read when they are needed.
+#[pyclass(frozen, module = "loopboost._loopboost")]
+pub(crate) struct Table {
+    files: Vec<PathBuf>,
+    schema: SchemaRef,
+    n_rows: usize,
+}
+
+#[pymethods]
+impl Table {
+    /// Opens files. There is at least one.
+    #[new]
+    fn new(py: Python<'_>, files: Vec<PathBuf>) -> PyResult<Self> {
+        let fail = |message: String| error(py, Class::Input, message);
+        let (mut schema, mut n_rows): (Option<Schema>, usize) = (None, 0);
+        for file in &files {
+            let opened = open(file).map_err(fail)?;
+            n_rows += opened.metadata().file_metadata().num_rows() as usize;
+            let of_file = opened.schema();
+            let first = schema.get_or_insert_with(|| of_file.as_ref().clone());
+            if first.fields != of_file.fields {
+                return Err(fail(format!(
+                    "{} has other columns than {}; make the tables with one version of loopboost",
+                    file.display(),
+                    files[0].display()
+                )));
+            }
+        }
+        let schema = schema.ok_or_else(|| fail("no files".to_owned()))?;
+        // The metadata of the first file is not that of all.
+        let schema = if files.len() == 1 { schema } else { Schema::new(schema.fields) };
+        Ok(Self { files, schema: Arc::new(schema), n_rows })
+    }
+
+    fn __len__(&self) -> usize {
+        self.n_rows
+    }
+
+    #[getter]
+    fn column_names(&self) -> Vec<&str> {
+        self.schema.fields.iter().map(|field| field.name().as_str()).collect()
+    }
+
+    #[getter]
+    fn files(&self) -> &[PathBuf] {
+        &self.files
+    }
+
+    /// What each file says about itself, by file and key.
+    fn metadata(&self, py: Python<'_>) -> PyResult<BTreeMap<PathBuf, BTreeMap<String, String>>> {
+        let of_file = |file: &PathBuf| {
+            let opened = open(file).map_err(|message| error(py, Class::Input, message))?;
+            let metadata = opened.schema().metadata().clone();
+            Ok((file.clone(), metadata.into_iter().collect()))
+        };
+        self.files.iter().map(of_file).collect()
+    }
+
+    /// The rows as a stream of the Arrow C interface.
+    #[pyo3(signature = (requested_schema = None))]
+    fn __arrow_c_stream__<'py>(
+        &self,
+        py: Python<'py>,
+        requested_schema: Option<Bound<'py, PyAny>>,
+    ) -> PyResult<Bound<'py, PyCapsule>> {
+        // A request is a wish. A producer can give the columns as they are.
+        drop(requested_schema);
+        let rows = Rows {
+            schema: self.schema.clone(),
+            files: self.files.clone().into_iter(),
+            current: None,
+        };
+        let stream = FFI_ArrowArrayStream::new(Box::new(rows));
+        PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
+    }
+}
+
+/// The rows of files, one file after the other.
+struct Rows {
+    schema: SchemaRef,
+    files: std::vec::IntoIter<PathBuf>,
+    current: Option<(PathBuf, ParquetRecordBatchReader)>,
+}
+
+impl Rows {
+    fn next_batch(&mut self) -> Result<Option<RecordBatch>, String> {
+        loop {
+            if let Some((file, reader)) = &mut self.current
+                && let Some(batch) = reader.next()
+            {
+                let read = batch.and_then(|batch| batch.with_schema(self.schema.clone()));
+                return read.map(Some).map_err(|failed| cannot_read(file, failed));
+            }
+            let Some(file) = self.files.next() else { return Ok(None) };
+            let reader = open(&file)?.build().map_err(|failed| cannot_read(&file, failed))?;
+            self.current = Some((file, reader));
+        }
+    }
+}
+
+impl Iterator for Rows {
+    type Item = Result<RecordBatch, ArrowError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.next_batch().map_err(|message| ArrowError::ExternalError(message.into())).transpose()
+    }
+}
+
+impl RecordBatchReader for Rows {
+    fn schema(&self) -> SchemaRef {
+        self.schema.clone()
+    }
+}
+
+fn open(file: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>, String> {
+    let opened = File::open(file).map_err(|failed| cannot_read(file, failed))?;
+    ParquetRecordBatchReaderBuilder::try_new(opened).map_err(|failed| cannot_read(file, failed))
+}
+
+fn cannot_read(file: &Path, failed: impl std::fmt::Display) -> String {
+    format!("cannot read {}: {failed}", file.display())
+}

@@ -1,0 +1,231 @@
+"""Tests of an installed package.
+
+usage: test_package.py ROOT FOLDER
+
+ROOT is the repository, and FOLDER a folder to write to. It needs polars, pyarrow, pandas and duckdb.
+"""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import duckdb
+import numpy as np
+import pandas
+import polars
+import pyarrow
+import pyarrow.dataset
+
+import loopboost
+
+ROOT, FOLDER = Path(sys.argv[1]), Path(sys.argv[2])
+QUICKSTART = ROOT / "pipelines/quickstart.toml"
+
+
+def raises(kind, words, call, *arguments, **options):
+    """The error of a call that must fail, and must name `words`."""
+    try:
+        call(*arguments, **options)
+    except kind as error:
+        assert words in str(error), f"{error} does not contain {words!r}"
+        assert isinstance(error, loopboost.LoopboostError)
+        return error
+    raise AssertionError(f"{call.__name__}{arguments} did not fail")
+
+
+def quickstart():
+    """The run that the other tests read."""
+    lines = []
+    run = loopboost.run(QUICKSTART, FOLDER / "quickstart", progress=lines.append)
+    assert any(line.startswith("evaluate") for line in lines), lines
+    assert run.logs == ["monday", "tuesday"] and run.report.is_file()
+    assert "report" in run._repr_html_() and "keyframes" in run._repr_html_()
+    again = loopboost.run(str(QUICKSTART), FOLDER / "quickstart")
+    assert again.info["format_version"] == run.info["format_version"]
+    return run
+
+
+def tables_open_everywhere(run):
+    keyframes = run.keyframes
+    n = len(keyframes)
+    assert n == sum(len(run.table("keyframes", log)) for log in run.logs) and 1000 < n
+    # A stream can be taken more than once.
+    for _ in range(2):
+        assert polars.DataFrame(keyframes).height == n
+    arrow = pyarrow.table(keyframes)
+    assert arrow.num_rows == n and arrow.column_names == keyframes.column_names
+    assert arrow.equals(pyarrow.dataset.dataset(run.folder / "keyframes").to_table())
+    assert len(arrow.to_pandas()) == n and isinstance(arrow.to_pandas(), pandas.DataFrame)
+    assert duckdb.sql("SELECT count(*) FROM keyframes").fetchall() == [(n,)]
+    assert "loopboost.kind" in next(iter(run.pairs.metadata().values()))
+    raises(loopboost.ArgumentError, "expected one of", run.table, "closure")
+    raises(loopboost.InputError, "monday, tuesday", run.table, "scans", "friday")
+    raises(loopboost.InputError, "does not exist", lambda: run.closures)
+    raises(loopboost.InputError, "run.json", loopboost.Run, FOLDER)
+
+    damaged = FOLDER / "damaged"
+    shutil.copytree(run.folder, damaged)
+    (damaged / "pairs.parquet").write_bytes(b"PAR1 but no table PAR1")
+    raises(loopboost.InputError, "pairs.parquet", lambda: loopboost.Run(damaged).pairs)
+    # A file that is damaged after it was opened is an error of the library that reads it.
+    opened = loopboost.Run(damaged).keyframes
+    opened.files[0].write_bytes(b"")
+    try:
+        pyarrow.table(opened)
+    except pyarrow.ArrowException as error:
+        assert opened.files[0].name in str(error), error
+    else:
+        raise AssertionError("a damaged table was read")
+
+
+def features_equal_the_table(run):
+    scans = polars.DataFrame(run.scans("monday"))
+    features = polars.DataFrame(run.table("features", "monday"))
+    names = loopboost.feature_names("paper16")
+    assert set(names) <= set(features.columns)
+    by_scan = {row["scan"]: row for row in features.iter_rows(named=True)}
+    n_compared = 0
+    for row in scans.iter_rows(named=True):
+        if row["scan"] not in by_scan:
+            continue
+        expected = np.array([by_scan[row["scan"]][name] for name in names])
+        for kind in (np.float32, np.float64):
+            x_m, y_m = np.array(row["x_m"], kind), np.array(row["y_m"], kind)
+            found = loopboost.featurize(x_m, y_m, row["coverage_deg"], set="paper16")
+            assert found.dtype == np.float64 and found.tobytes() == expected.tobytes()
+        n_compared += 1
+    assert n_compared == features.height
+    # Every second value of an array that is not contiguous.
+    strided = loopboost.featurize(np.repeat(x_m, 2)[::2], np.repeat(y_m, 2)[::2], row["coverage_deg"], set="paper16")
+    assert strided.tobytes() == loopboost.featurize(x_m, y_m, row["coverage_deg"], set="paper16").tobytes()
+    raises(loopboost.ArgumentError, "same number", loopboost.featurize, x_m, y_m[1:])
+    raises(loopboost.ArgumentError, "shape", loopboost.featurize, [x_m, x_m], [y_m, y_m])
+    raises(loopboost.ArgumentError, "`paper16` or `campus`", loopboost.featurize, x_m, y_m, set="paper17")
+    raises(loopboost.ArgumentError, "gate_m", loopboost.featurize, x_m, y_m, set="paper16", gate_m=-1)
+    raises(loopboost.InputError, "fewer than 3", loopboost.featurize, [1, 2], [1, 2])
+    raises(loopboost.InputError, "not finite", loopboost.featurize, [1, 2, np.nan], [1, 2, 3.5])
+
+
+def models_score_as_the_program(run):
+    name = "quickstart-discrete"
+    model = run.model(name)
+    assert model.name == name and model.version == "1.0.0" and name in repr(model) and not model.has_detector
+    assert model.feature_names == loopboost.feature_names("paper16") and model.scans["is_ring"] is True
+    assert {"threshold", "precision"} <= set(model.operating_points[0]) and "error" in model.measured[0]
+    assert name in model.card() and name in model._repr_html_()
+    folder = loopboost.Model.load(model.path.parent)
+    assert folder.path == model.path
+
+    features = polars.DataFrame(run.features).sort("log", "scan")
+    matrix = features.select(model.feature_names).to_numpy()
+    random = np.random.default_rng(3)
+    pairs = random.integers(0, len(matrix), (40_000, 2))
+    found = model.score_pairs(matrix, pairs)
+    assert found.tobytes() == model.score_pairs(np.asfortranarray(matrix), pairs.astype(np.uint32)).tobytes()
+    assert model.score(matrix[3], matrix[4]) == model.score_pairs(matrix, [[3, 4]])[0]
+    assert model.score_pairs(matrix, []).shape == (0,)
+    scan = polars.DataFrame(run.scans("monday")).row(0, named=True)
+    assert model.featurize(scan["x_m"], scan["y_m"]).shape == (16,)
+
+    # The same pairs by the program.
+    sample = range(0, len(pairs), 400)
+    ids = features.select("log", "scan").rows()
+    file = FOLDER / "pairs.csv"
+    rows = [f"{ids[a][0]},{ids[a][1]},{ids[b][0]},{ids[b][1]}" for a, b in (pairs[k] for k in sample)]
+    file.write_text("\n".join(["query_log,query_scan,reference_log,reference_scan", *rows]))
+    command = ["loopboost", "score", model.path, "--run", run.folder, "--pairs", file, "--out", FOLDER / "scores.parquet"]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    scores = polars.read_parquet(FOLDER / "scores.parquet")["confidence"].to_numpy()
+    assert len(scores) == len(rows) and scores.tobytes() == found[list(sample)].tobytes()
+
+    raises(loopboost.ArgumentError, "(n_scans, 16)", model.score_pairs, matrix[:, :3], pairs)
+    raises(loopboost.ArgumentError, "row numbers", model.score_pairs, matrix, [[0, len(matrix)]])
+    raises(loopboost.ArgumentError, "row numbers", model.score_pairs, matrix, [[0, -1]])
+    raises(loopboost.ArgumentError, "not finite", model.score_pairs, np.full((2, 16), np.nan), [[0, 1]])
+    raises(loopboost.InputError, "full circle", model.featurize, scan["x_m"], scan["y_m"], 180.0)
+    raises(loopboost.InputError, "missing.json", loopboost.Model, FOLDER / "missing.json")
+    raises(loopboost.InputError, "expected one", loopboost.Model, run.folder)
+    raises(loopboost.InputError, "only: quickstart-", run.model, "other")
+
+
+def commands_report_errors(run):
+    error = raises(loopboost.CommandError, "nothing.mcap", loopboost.inspect, FOLDER / "nothing.mcap")
+    assert error.exit_code == 1
+    survey = loopboost.inspect(run.folder / "logs/monday.mcap")
+    assert "[ingest]" in survey.pipeline and "suggested pipeline" in survey._repr_html_()
+    wrong = {"label.positive_radius": 2}
+    raises(loopboost.ArgumentError, "positive_radius_m", loopboost.run, QUICKSTART, FOLDER / "wrong", overrides=wrong)
+    raises(loopboost.ArgumentError, "missing.toml", loopboost.run, FOLDER / "missing.toml", FOLDER / "wrong")
+    raises(loopboost.CommandError, "detector", loopboost.detect, QUICKSTART, run.model("quickstart-discrete"), FOLDER / "wrong")
+    other = {"simulate.logs": ["lap"], "simulate.path_m": float(300)}
+    raises(loopboost.ArgumentError, "path_m", loopboost.run, QUICKSTART, FOLDER / "wrong", overrides=other)
+
+
+def a_run_can_be_stopped():
+    out = FOLDER / "stopped"
+
+    def fail(line):
+        raise KeyError(line)
+
+    try:
+        loopboost.run(QUICKSTART, out, progress=fail)
+    except KeyError:
+        pass
+    else:
+        raise AssertionError("an exception in `progress` was lost")
+
+    # Only this process gets the signal, as in a notebook.
+    started = threading.Event()
+    stopped_at = []
+
+    def interrupt():
+        started.wait(60)
+        stopped_at.append(time.monotonic())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    try:
+        loopboost.run(QUICKSTART, out, progress=lambda _: started.set(), force=["ingest"])
+    except KeyboardInterrupt:
+        print(f"Ctrl-C: stopped after {time.monotonic() - stopped_at[0]:.3f} s")
+    else:
+        raise AssertionError("Ctrl-C did not stop the run")
+    # The stopped process has released the folder.
+    assert loopboost.run(QUICKSTART, out).report.is_file()
+
+
+def the_program_is_part_of_the_package(run):
+    version = subprocess.run(["loopboost", "--version"], capture_output=True, text=True, check=True).stdout
+    assert version.split() == ["loopboost", loopboost.__version__]
+    listed = subprocess.run([sys.executable, "-m", "loopboost", "model", "list", run.folder], capture_output=True, text=True, check=True)
+    assert "quickstart-discrete" in listed.stdout
+    usage = subprocess.run(["loopboost", "rnu"], capture_output=True, text=True)
+    assert usage.returncode == 2 and "unrecognized subcommand 'rnu'" in usage.stderr
+    if Path("/dev/full").exists():
+        with open("/dev/full", "w") as full:
+            full_disk = subprocess.run(["loopboost", "model", "list", run.folder], stdout=full, stderr=subprocess.PIPE, text=True)
+        assert full_disk.returncode == 1 and "cannot write to stdout" in full_disk.stderr, full_disk
+    reader = subprocess.Popen(["loopboost", "schema", "pipeline"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    reader.stdout.close()
+    assert reader.wait() == -signal.SIGPIPE and not reader.stderr.read()
+
+
+def main():
+    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    run = quickstart()
+    tests = (tables_open_everywhere, features_equal_the_table, models_score_as_the_program, commands_report_errors)
+    for test in (*tests, the_program_is_part_of_the_package):
+        test(run)
+        print(f"{test.__name__}: ok")
+    a_run_can_be_stopped()
+    print("a_run_can_be_stopped: ok")
+
+
+if __name__ == "__main__":
+    main()
