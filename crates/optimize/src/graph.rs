@@ -106,10 +106,11 @@ impl Solver {
         let mut before = cost(&self.edges, weights, poses);
         let mut damping = FIRST_DAMPING;
         for _ in 0..MAX_STEPS {
-            self.linearize(weights, poses);
             let mut gained = None;
             while damping < MAX_DAMPING {
-                if let Some(step) = self.system.solve(damping) {
+                // Again for each damping: the solution takes the place of the equations, so that no copy is needed.
+                self.linearize(weights, poses);
+                if let Some(step) = self.system.solve_in_place(damping) {
                     let moved: Vec<Pose2> = poses.iter().zip(&step).map(apply).collect();
                     let after = cost(&self.edges, weights, &moved);
                     if after <= before {

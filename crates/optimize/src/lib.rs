@@ -14,6 +14,7 @@
 //! together and with the scans at every place that the result predicts to be the same: no closure is
 //! accepted for its own score alone.
 
+mod agreement;
 mod certainty;
 mod every_scan;
 mod gnc;

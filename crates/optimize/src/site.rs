@@ -13,11 +13,12 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-use dataset::{Pose2, wrap_angle};
+use dataset::Pose2;
 use model::Detector;
 use rayon::prelude::*;
 use register::{Drive, places as places_along};
 
+use crate::agreement::{AGREES_CHI2, chi2};
 use crate::gnc::reject_false_closures;
 use crate::graph::Edge;
 use crate::guided::{Comparisons, Limit, predictions};
@@ -84,9 +85,6 @@ const PLACE_LIMIT: Limit = Limit { most: 1, every_m: 2.5 };
 const KEYFRAME_LIMIT: Limit = Limit { most: 5, every_m: 1.5 };
 /// Path over which the drift of a map counts at most \[m\]. Closures within a map end it sooner.
 const MAX_DRIFT_M: f64 = 100.0;
-/// Squared error in standard deviations up to which two candidates agree on a relative pose: three of
-/// them in each of two directions, roughly.
-const AGREES_CHI2: f64 = 16.0;
 /// Number of hypotheses that are tested.
 const N_HYPOTHESES: usize = 4;
 /// The least number of places whose candidates agree on a hypothesis, and their least share of those of the
@@ -371,17 +369,7 @@ impl<'a> SiteMaps<'a> {
         let path_m = |a: usize, b: usize| (self.places.path_m[a] - self.places.path_m[b]).abs();
         let path_m = (path_m(from.reference, link.reference) + path_m(from.query, link.query))
             .min(MAX_DRIFT_M);
-        let (noise, drift) = (&self.detector.closure, &self.detector.drift);
-        let turn_variance = drift.std_rad_per_sqrt_m * drift.std_rad_per_sqrt_m * path_m;
-        // A heading error that grows with the square root of the path, summed over the path.
-        let variance_m2 = 2.0 * noise.consistency_std_m * noise.consistency_std_m
-            + drift.std_m_per_sqrt_m * drift.std_m_per_sqrt_m * path_m
-            + turn_variance * path_m * path_m / 3.0;
-        let variance_rad2 =
-            2.0 * noise.consistency_std_rad * noise.consistency_std_rad + turn_variance;
-        let distance_m = expected.distance_m(&found);
-        let turn_rad = wrap_angle(expected.heading_rad - found.heading_rad);
-        distance_m * distance_m / variance_m2 + turn_rad * turn_rad / variance_rad2 < AGREES_CHI2
+        chi2(&expected, &found, path_m, self.detector) < AGREES_CHI2
     }
 
     /// Tests a hypothesis with those of the links that are offered. The first map stays, the second one

@@ -7,6 +7,7 @@ use model::{Detector, Evidence};
 use nalgebra::Matrix3;
 use register::{Drive, JointOptions, pairs_along_path, places as places_along};
 
+use crate::agreement::admitted;
 use crate::certainty::Certainty;
 use crate::gnc::reject_false_closures;
 use crate::graph::{Edge, covariances};
@@ -34,7 +35,8 @@ const KEYFRAME_LIMIT: Limit = Limit { most: 3, every_m: 1.5 };
 /// those of the drive.
 ///
 /// 1. Proposals with enough confidence enter a pose graph of places along the drive. Graduated
-///    non-convexity keeps those that agree with each other and with the odometry.
+///    non-convexity keeps those that agree with each other and with the odometry. Of very many, only those that
+///    others near them agree with enter the graph.
 /// 2. Every pair of places that the optimized poses predict to be the same is compared. Groups of
 ///    closures whose predictions the scans do not confirm are dropped, and the first step is repeated
 ///    (the share test).
@@ -82,7 +84,7 @@ pub fn close_loops(
         },
     };
     let mut comparisons = Comparisons::new(&places);
-    let mut is_offered = vec![true; links.len()];
+    let mut is_offered = admitted(&links, &places, detector);
     let mut rounds = Vec::new();
     loop {
         let outcome = graph.supported(&mut comparisons, &links, &is_offered);

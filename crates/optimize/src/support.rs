@@ -11,7 +11,7 @@ use crate::places::Places;
 use crate::{Proposal, Round};
 
 /// Two closures belong to the same group if both of their places are this close along the path \[m\].
-const GROUP_M: f64 = 6.0;
+pub(crate) const GROUP_M: f64 = 6.0;
 /// A group with a smaller share of confirmed predictions is dropped.
 const MIN_GROUP_SHARE: f64 = 0.4;
 /// A map whose share of confirmed predictions is less, and not by chance, is not accepted. On recorded drives, right

@@ -116,12 +116,7 @@ impl BlockSystem {
     }
 
     /// The solution x after adding `damping` times the diagonal of A, one vector per pose. `None` if that is not
-    /// positive definite.
-    pub fn solve(&self, damping: f64) -> Option<Vec<Vector3<f64>>> {
-        self.clone().solve_in_place(damping)
-    }
-
-    /// The same without a copy of A, which is lost. Call [`BlockSystem::clear`] before adding to it again.
+    /// positive definite. A is lost: call [`BlockSystem::clear`] before adding to it again.
     pub fn solve_in_place(&mut self, damping: f64) -> Option<Vec<Vector3<f64>>> {
         self.factor(damping)?;
         let mut x = self.right.clone();
@@ -315,7 +310,7 @@ mod tests {
             }
             let inverse = dense.clone().try_inverse().unwrap();
             let expected = &inverse * right;
-            for (pose, x) in system.solve(0.0).unwrap().iter().enumerate() {
+            for (pose, x) in system.clone().solve_in_place(0.0).unwrap().iter().enumerate() {
                 assert!((x - expected.fixed_rows::<3>(3 * pose)).norm() < 1e-9, "{n} {pose}");
             }
             let blocks = system.clone().into_inverse_diagonal().unwrap();
@@ -324,7 +319,7 @@ mod tests {
                 assert!((block - expected).norm() < 1e-9, "{n} {pose} {block} {expected}");
             }
             system.add(0, 0, &Matrix3::from_diagonal_element(-1e6));
-            assert!(system.solve(0.0).is_none(), "not positive definite");
+            assert!(system.clone().solve_in_place(0.0).is_none(), "not positive definite");
             assert!(system.into_inverse_diagonal().is_none(), "not positive definite");
         }
     }
