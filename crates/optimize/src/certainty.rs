@@ -20,12 +20,15 @@ pub(crate) struct Certainty {
     reach_m: f64,
 }
 
-/// The distances over the graph from one position.
+/// The distances over the graph from one position, as far as they were needed (Dijkstra 1959, "A note on two problems in
+/// connexion with graphs").
 pub(crate) struct Distances<'a> {
     graph: &'a Certainty,
     path_m: f64,
-    /// The ends within reach, and their distances \[m\].
+    /// For each end that was found, the length of the shortest way so far \[m\].
     of_ends_m: BTreeMap<usize, f64>,
+    /// The ends whose neighbours were not looked at, the nearest first.
+    open: BinaryHeap<Reached>,
 }
 
 impl Certainty {
@@ -46,7 +49,7 @@ impl Certainty {
     /// Keeps the places, with path lengths `path_m`, whose position relative to the query is certain.
     pub(crate) fn retain(&self, path_m: &[f64], query: usize, near: &mut Vec<usize>) {
         if !near.is_empty() {
-            let distances = self.distances(path_m[query]);
+            let mut distances = self.distances(path_m[query]);
             near.retain(|&k| distances.is_certain(path_m[k]));
         }
     }
@@ -55,7 +58,7 @@ impl Certainty {
     /// query.
     pub(crate) fn mark(&self, path_m: &[f64], predictions: &mut [Prediction]) {
         for of_query in predictions.chunk_by_mut(|a, b| a.query == b.query) {
-            let distances = self.distances(path_m[of_query[0].query]);
+            let mut distances = self.distances(path_m[of_query[0].query]);
             for prediction in of_query {
                 prediction.is_certain = distances.is_certain(path_m[prediction.reference]);
             }
@@ -64,47 +67,62 @@ impl Certainty {
 
     /// The distances from a position on the path.
     pub(crate) fn distances(&self, path_m: f64) -> Distances<'_> {
-        let mut of_ends_m = BTreeMap::new();
+        let (of_ends_m, open) = (BTreeMap::new(), BinaryHeap::new());
+        let mut distances = Distances { graph: self, path_m, of_ends_m, open };
         let after = self.ends_m.partition_point(|&end| end < path_m);
-        let mut open = BinaryHeap::new();
-        let mut reach = |open: &mut BinaryHeap<Reached>, end: usize, distance_m: f64| {
-            let is_nearer = of_ends_m.get(&end).is_none_or(|&known_m| distance_m < known_m);
-            if distance_m <= self.reach_m && is_nearer {
-                of_ends_m.insert(end, distance_m);
-                open.push(Reached { distance_m, end });
-            }
-        };
         for end in [after.checked_sub(1), Some(after)].into_iter().flatten() {
             if let Some(end_m) = self.ends_m.get(end) {
-                reach(&mut open, end, (end_m - path_m).abs());
+                distances.reach(end, (end_m - path_m).abs());
             }
         }
-        while let Some(Reached { distance_m, end }) = open.pop() {
-            for &other in &self.joined[end] {
-                reach(&mut open, other, distance_m);
-            }
-            for next in [end.checked_sub(1), Some(end + 1)].into_iter().flatten() {
-                if let Some(next_m) = self.ends_m.get(next) {
-                    reach(&mut open, next, distance_m + (next_m - self.ends_m[end]).abs());
-                }
-            }
-        }
-        Distances { graph: self, path_m, of_ends_m }
+        distances
     }
 }
 
 impl Distances<'_> {
-    /// Whether the graph knows the position at `path_m` relative to this one.
-    pub(crate) fn is_certain(&self, path_m: f64) -> bool {
-        let ends_m = &self.graph.ends_m;
-        let after = ends_m.partition_point(|&end| end < path_m);
-        let over = |end: Option<usize>| {
-            let end = end?;
-            Some(self.of_ends_m.get(&end)? + (ends_m[end] - path_m).abs())
-        };
+    /// Whether the graph knows the position at `path_m` relative to this one. Any way that is short enough is sufficient,
+    /// so that of places that are near each other, few distances are needed.
+    pub(crate) fn is_certain(&mut self, path_m: f64) -> bool {
         let along_m = (path_m - self.path_m).abs();
-        let distances_m = [over(after.checked_sub(1)), over(Some(after)), Some(along_m)];
-        distances_m.into_iter().flatten().any(|distance_m| distance_m <= self.graph.reach_m)
+        if along_m <= self.graph.reach_m {
+            return true;
+        }
+        let after = self.graph.ends_m.partition_point(|&end| end < path_m);
+        let is_near = |distances: &Self, end: Option<usize>| {
+            let over_m = end.and_then(|end| {
+                Some(distances.of_ends_m.get(&end)? + (distances.graph.ends_m[end] - path_m).abs())
+            });
+            over_m.is_some_and(|over_m| over_m <= distances.graph.reach_m)
+        };
+        loop {
+            if is_near(self, after.checked_sub(1)) || is_near(self, Some(after)) {
+                return true;
+            }
+            let Some(nearest) = self.open.pop() else { return false };
+            self.look_around(&nearest);
+        }
+    }
+
+    /// Notes a way to an end, if it is short enough and the shortest one so far.
+    fn reach(&mut self, end: usize, distance_m: f64) {
+        let is_nearer = self.of_ends_m.get(&end).is_none_or(|&known_m| distance_m < known_m);
+        if distance_m <= self.graph.reach_m && is_nearer {
+            self.of_ends_m.insert(end, distance_m);
+            self.open.push(Reached { distance_m, end });
+        }
+    }
+
+    /// Goes from an end to those next to it.
+    fn look_around(&mut self, &Reached { distance_m, end }: &Reached) {
+        let graph = self.graph;
+        for &other in &graph.joined[end] {
+            self.reach(other, distance_m);
+        }
+        for next in [end.checked_sub(1), Some(end + 1)].into_iter().flatten() {
+            if let Some(next_m) = graph.ends_m.get(next) {
+                self.reach(next, distance_m + (next_m - graph.ends_m[end]).abs());
+            }
+        }
     }
 }
 
@@ -211,7 +229,7 @@ mod tests {
         }
         let graph = Certainty::new(&closures_m, &DRIFT);
         for (a, row) in shortest_m.iter().enumerate() {
-            let distances = graph.distances(a as f64);
+            let mut distances = graph.distances(a as f64);
             for (b, distance_m) in row.iter().enumerate() {
                 assert_eq!(distances.is_certain(b as f64), *distance_m <= graph.reach_m, "{a} {b}");
             }
