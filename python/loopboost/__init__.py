@@ -87,7 +87,7 @@ def run(
     overrides: keys and values that replace those of the file, such as `{"label.positive_radius_m": 2}`. force: stages to repeat.
     strict: stop at a log that cannot be used, instead of leaving it out. progress: called with each line that says what is done.
 
-    Ctrl-C stops it, as does an exception in `progress`. The same call then goes on where it stopped.
+    Ctrl-C stops it, as does an exception in `progress`. The same call then continues from there.
     """
     options = [option for stage in force for option in ("--force", stage)]
     return _pipeline("run", pipeline, out, overrides, strict, options, progress)

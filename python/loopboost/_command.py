@@ -22,7 +22,7 @@ def execute(arguments: list[Any], progress: Callable[[str], None] | None = None)
     """Runs a command. Returns the lines that it wrote to stdout and to stderr.
 
     A process of its own can be stopped at any moment: Ctrl-C, and an exception in `progress`, end it. What it had finished
-    is kept, and the same command goes on from there.
+    is kept, and the same command continues from there.
     """
     command = [sys.executable, "-m", "loopboost", *map(str, arguments)]
     child = subprocess.Popen(
