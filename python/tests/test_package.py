@@ -179,7 +179,8 @@ def a_run_can_be_stopped():
     else:
         raise AssertionError("an exception in `progress` was lost")
 
-    # Only this process gets the signal, as in a notebook.
+    # Only this process gets the signal, as in a notebook. A shell ignores it for commands in the background.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     started = threading.Event()
     stopped_at = []
 
