@@ -49,13 +49,20 @@ class Survey(dict[str, Any]):
 
     @property
     def pipeline(self) -> str | None:
-        """The suggested pipeline, as TOML; None if the log has no scans that can be used."""
+        """The suggested pipeline, as TOML; None if the log has no scans that can be used. `problems` says what it lacks."""
         return self["pipeline"]
 
+    @property
+    def problems(self) -> list[str]:
+        """Why `run` would refuse the suggested pipeline; empty if it would not."""
+        found = [f"missing: {missing}" for missing in self["missing"]]
+        return found + [f"refused: {self[key]}" for key in ("refused", "too_few_pairs") if self[key]]
+
     def _repr_html_(self) -> str:
+        problems = "".join(f"<li><b>{html.escape(line)}</b></li>" for line in self.problems)
         notes = "".join(f"<li>{html.escape(line)}</li>" for line in self.messages)
         pipeline = html.escape(self.pipeline or "none")
-        return f"<b>{html.escape(str(self['log']))}</b><ul>{notes}</ul>suggested pipeline:<pre>{pipeline}</pre>"
+        return f"<b>{html.escape(str(self['log']))}</b><ul>{problems}{notes}</ul>suggested pipeline:<pre>{pipeline}</pre>"
 
     #: Losses and notes with their codes, as lines.
     messages: tuple[str, ...] = ()
@@ -77,7 +84,7 @@ def run(
     pipeline: str | PathLike[str],
     out: str | PathLike[str],
     overrides: dict[str, Any] | None = None,
-    force: Iterable[str] = (),
+    force: str | Iterable[str] = (),
     strict: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Run:
@@ -89,6 +96,7 @@ def run(
 
     Ctrl-C stops it, as does an exception in `progress`. The same call then continues from there.
     """
+    force = [force] if isinstance(force, str) else force
     options = [option for stage in force for option in ("--force", stage)]
     return _pipeline("run", pipeline, out, overrides, strict, options, progress)
 
@@ -132,14 +140,17 @@ def _pipeline(
 
 def _toml(value: Any) -> str:
     """A value as TOML."""
+    if not isinstance(value, (str, bytes)) and hasattr(value, "item"):
+        # A number of numpy.
+        value = value.item()
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{json.dumps(key)} = {_toml(item)}" for key, item in value.items()) + "}"
+        return "{" + ", ".join(f"{json.dumps(key, ensure_ascii=False)} = {_toml(item)}" for key, item in value.items()) + "}"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(map(_toml, value)) + "]"
     if isinstance(value, Path):
         value = str(value)
     if isinstance(value, float):
-        return repr(value)
+        return float.__repr__(value)
     if isinstance(value, (str, bool, int)):
-        return json.dumps(value)
+        return json.dumps(value, ensure_ascii=False)
     raise ArgumentError(f"cannot write {value!r} as an option; expected a text, number, bool, list or dict")

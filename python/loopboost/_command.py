@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from loopboost._errors import ArgumentError, CommandError
@@ -24,9 +26,15 @@ def execute(arguments: list[Any], progress: Callable[[str], None] | None = None)
     A process of its own can be stopped at any moment: Ctrl-C, and an exception in `progress`, end it. What it had finished
     is kept, and the same command continues from there.
     """
+    if not sys.executable:
+        raise ArgumentError("Python does not know its own program (sys.executable), which the commands start")
+    # This package, wherever it was found.
+    folders = [str(Path(__file__).resolve().parent.parent), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, folders))}
     command = [sys.executable, "-m", "loopboost", *map(str, arguments)]
     child = subprocess.Popen(
         command,
+        env=environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -61,7 +69,8 @@ def execute(arguments: list[Any], progress: Callable[[str], None] | None = None)
         for reader in readers:
             reader.join(_WAIT_SECS)
     if exit_code in (0, _NEEDS_ATTENTION):
-        return lines, log
+        # The last line counts those before it.
+        return lines, [line for line in log if not line.startswith("done with ")]
     message = "\n".join(_error_of(log)) or f"`{' '.join(command)}` ended with exit code {exit_code}"
     if exit_code == _USAGE:
         raise ArgumentError(message)

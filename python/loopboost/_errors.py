@@ -1,5 +1,9 @@
 """Errors of the package."""
 
+from __future__ import annotations
+
+from typing import Any
+
 
 class LoopboostError(Exception):
     """Any error of loopboost."""
@@ -20,3 +24,6 @@ class CommandError(LoopboostError):
         super().__init__(message)
         self.exit_code = exit_code
         self.log = log
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.exit_code, self.log)

@@ -5,11 +5,12 @@ from typing import Any, final
 
 from numpy.typing import NDArray
 
-__all__ = ["Model", "Table", "__version__", "feature_names", "featurize", "main"]
+__all__ = ["Model", "Table", "__version__", "feature_names", "feature_version", "featurize", "main"]
 
 __version__: str
 
 def feature_names(set: str) -> list[str]: ...
+def feature_version(set: str) -> int: ...
 def featurize(x_m: NDArray[Any], y_m: NDArray[Any], coverage_deg: float, set: str, gate_m: float) -> NDArray[Any]: ...
 def main(args: list[str]) -> int: ...
 @final

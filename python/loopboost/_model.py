@@ -69,6 +69,9 @@ class Model:
     def __repr__(self) -> str:
         return f"<Model {self.name} {self.version}: {self.learner}, {len(self.feature_names)} features of {self.feature_set}>"
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.path,)
+
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(self.card())}</pre>"
 
@@ -129,7 +132,11 @@ class Model:
         the model was trained on, such as a half circle instead of a full one, is an error."""
         self._model.check_coverage(float(coverage_deg))
         spec = self._section("features")
-        if spec["names"] != _loopboost.feature_names(spec["set"]):
+        try:
+            known = _loopboost.feature_version(spec["set"]), _loopboost.feature_names(spec["set"])
+        except ArgumentError:
+            known = None
+        if known != (spec["version"], spec["names"]):
             raise InputError(f"the model {self.name} needs other features than those of this version; train it again")
         return featurize(x_m, y_m, coverage_deg, spec["set"], spec["gate_m"])
 
@@ -137,7 +144,10 @@ class Model:
         """Confidence that two scans with the features `a` and `b`, each `(n_features,)`, show the same place."""
         import numpy as np
 
-        return float(self.score_pairs(np.stack([np.asarray(a), np.asarray(b)]), [[0, 1]])[0])
+        a, b = np.asarray(a), np.asarray(b)
+        if a.shape != b.shape:
+            raise ArgumentError(f"a has shape {a.shape} and b has shape {b.shape}, expected the same")
+        return float(self.score_pairs(np.stack([a, b]), [[0, 1]])[0])
 
     def score_pairs(self, features: ArrayLike, pairs: ArrayLike) -> NDArray[Any]:
         """Confidences of pairs, `(n_pairs,)`, float64.

@@ -33,8 +33,7 @@ PER_RUN = (
 class Run:
     """A run folder. Tables are opened when they are asked for, and read when another library takes them.
 
-    A table goes into polars, pyarrow or DuckDB without a copy: `polars.DataFrame(run.closures)`,
-    `pyarrow.table(run.closures)`, `duckdb.from_arrow(pyarrow.table(run.closures))`.
+    A table goes into polars, pyarrow or DuckDB: `polars.DataFrame(run.closures)`, `pyarrow.table(run.closures)`, `duckdb.from_arrow(pyarrow.table(run.closures))`.
     """
 
     def __init__(self, folder: str | PathLike[str]):
@@ -48,13 +47,18 @@ class Run:
         return f"Run({str(self.folder)!r})"
 
     def _repr_html_(self) -> str:
-        rows = "".join(
-            f"<tr><td><code>{name}</code></td><td style='text-align:right'>{len(self.table(name)):,}</td></tr>" for name in self.tables
-        )
+        rows = ""
+        for name in self.tables:
+            try:
+                n_rows = f"{len(self.table(name)):,}"
+            except InputError:
+                n_rows = "cannot be read"
+            rows += f"<tr><td><code>{name}</code></td><td style='text-align:right'>{n_rows}</td></tr>"
+        messages = "".join(f"<li>{html.escape(line)}</li>" for line in self.messages)
         folder, report = html.escape(str(self.folder)), html.escape(str(self.report))
         return (
             f"<b>loopboost run</b> <code>{folder}</code><table><tr><th>table</th><th>rows</th></tr>{rows}</table>"
-            f"report: <code>{report}</code>"
+            f"report: <code>{report}</code><ul>{messages}</ul>"
         )
 
     @property
@@ -65,17 +69,21 @@ class Run:
 
     @property
     def logs(self) -> list[str]:
-        """The names of the logs."""
-        folder = self.folder / "scans"
+        """The names of the logs of the last run. The folder can have tables of earlier logs, too."""
+        # Keyframes are kept for logs of the last run only.
+        folder = self.folder / "keyframes"
+        if not folder.is_dir():
+            folder = self.folder / "scans"
         return sorted(file.relative_to(folder).with_suffix("").as_posix() for file in folder.rglob("*.parquet"))
 
     def _files(self, name: str) -> list[Path]:
-        return sorted((self.folder / name).rglob("*.parquet"))
+        files = [self.folder / name / f"{log}.parquet" for log in self.logs]
+        return [file for file in files if file.is_file()]
 
     def table(self, name: str, log: str | None = None) -> Table:
         """The table `name`: of one log, or of all logs together.
 
-        See docs/tables.md for the columns.
+        docs/tables.md in the repository explains the columns. The files are read each time a library takes the table.
         """
         if name not in PER_LOG + PER_RUN:
             raise ArgumentError(f"no table {name!r}, expected one of: {', '.join(PER_LOG + PER_RUN)}")

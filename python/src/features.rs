@@ -16,6 +16,12 @@ pub(crate) fn feature_set(py: Python<'_>, name: &str) -> PyResult<FeatureSet> {
     })
 }
 
+/// The version of the definitions of a set.
+#[pyfunction]
+pub(crate) fn feature_version(py: Python<'_>, set: &str) -> PyResult<u32> {
+    Ok(feature_set(py, set)?.version())
+}
+
 /// The names of the features of a set, in order.
 #[pyfunction]
 pub(crate) fn feature_names(py: Python<'_>, set: &str) -> PyResult<Vec<&'static str>> {

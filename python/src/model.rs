@@ -2,18 +2,27 @@
 
 use std::path::PathBuf;
 
+use crate::{Class, error};
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
-use rayon::prelude::*;
 
-use crate::{Class, error};
-
-/// Pairs that one thread scores at once.
-const CHUNK: usize = 16384;
+/// Each thread scores at least so many pairs.
+const MIN_CHUNK: usize = 16384;
 
 /// A model.json.
 #[pyclass(frozen, module = "loopboost._loopboost")]
 pub(crate) struct Model(model::Model);
+
+/// An error and its causes.
+fn with_causes(failed: &dyn std::error::Error) -> String {
+    let mut text = failed.to_string();
+    let mut cause = failed.source();
+    while let Some(next) = cause {
+        text.push_str(&format!(": {next}"));
+        cause = next.source();
+    }
+    text
+}
 
 #[pymethods]
 impl Model {
@@ -21,7 +30,7 @@ impl Model {
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         let loaded = py.detach(|| model::load(&path));
-        loaded.map(Self).map_err(|failed| error(py, Class::Input, failed))
+        loaded.map(Self).map_err(|failed| error(py, Class::Input, with_causes(&failed)))
     }
 
     #[getter]
@@ -86,9 +95,18 @@ impl Model {
             let pairs = a.iter().zip(b).map(|(&a, &b)| (a as usize, b as usize));
             classifier.score_pairs(features, n_features, pairs)
         };
+        // Threads of this call only: those of a pool are missing in a process that Python's multiprocessing forked.
+        let n_threads = std::thread::available_parallelism().map_or(1, usize::from);
+        let chunk = a.len().div_ceil(n_threads).max(MIN_CHUNK);
         let confidences: Vec<f64> = py.detach(|| {
-            let chunks = a.par_chunks(CHUNK).zip(b.par_chunks(CHUNK));
-            chunks.map(score).collect::<Vec<_>>().concat()
+            let mut confidences = vec![0.0; a.len()];
+            let chunks = a.chunks(chunk).zip(b.chunks(chunk)).zip(confidences.chunks_mut(chunk));
+            std::thread::scope(|scope| {
+                for (pairs, confidences) in chunks {
+                    scope.spawn(move || confidences.copy_from_slice(&score(pairs)));
+                }
+            });
+            confidences
         });
         Ok(PyArray1::from_vec(py, confidences))
     }

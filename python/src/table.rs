@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -46,6 +47,15 @@ impl Table {
         // The metadata of the first file is not that of all.
         let schema = if files.len() == 1 { schema } else { Schema::new(schema.fields) };
         Ok(Self { files, schema: Arc::new(schema), n_rows })
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "<Table: {} rows in {} files, columns {}; polars.DataFrame(table) or pyarrow.table(table) reads it>",
+            self.n_rows,
+            self.files.len(),
+            self.column_names().join(", ")
+        )
     }
 
     fn __len__(&self) -> usize {
@@ -108,7 +118,12 @@ impl Rows {
                 return read.map(Some).map_err(|failed| cannot_read(file, failed));
             }
             let Some(file) = self.files.next() else { return Ok(None) };
-            let reader = open(&file)?.build().map_err(|failed| cannot_read(&file, failed))?;
+            let built = catch_unwind(AssertUnwindSafe(|| {
+                open(&file).map(ParquetRecordBatchReaderBuilder::build)
+            }));
+            let reader = built
+                .map_err(|_| cannot_read(&file, DAMAGED))??
+                .map_err(|failed| cannot_read(&file, failed))?;
             self.current = Some((file, reader));
         }
     }
@@ -118,7 +133,13 @@ impl Iterator for Rows {
     type Item = Result<RecordBatch, ArrowError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.next_batch().map_err(|message| ArrowError::ExternalError(message.into())).transpose()
+        // The Parquet reader panics for some damaged files. A panic in the C interface would end the process.
+        let next = catch_unwind(AssertUnwindSafe(|| self.next_batch())).unwrap_or_else(|_| {
+            let file = self.current.take().map(|(file, _)| file);
+            self.files = Vec::new().into_iter();
+            Err(cannot_read(&file.unwrap_or_default(), DAMAGED))
+        });
+        next.map_err(|message| ArrowError::ExternalError(message.into())).transpose()
     }
 }
 
@@ -128,9 +149,14 @@ impl RecordBatchReader for Rows {
     }
 }
 
+const DAMAGED: &str = "the file is damaged; run the command that made it again";
+
 fn open(file: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>, String> {
     let opened = File::open(file).map_err(|failed| cannot_read(file, failed))?;
-    ParquetRecordBatchReaderBuilder::try_new(opened).map_err(|failed| cannot_read(file, failed))
+    match catch_unwind(AssertUnwindSafe(|| ParquetRecordBatchReaderBuilder::try_new(opened))) {
+        Ok(builder) => builder.map_err(|failed| cannot_read(file, failed)),
+        Err(_) => Err(cannot_read(file, DAMAGED)),
+    }
 }
 
 fn cannot_read(file: &Path, failed: impl std::fmt::Display) -> String {

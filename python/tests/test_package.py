@@ -5,7 +5,10 @@ usage: test_package.py ROOT FOLDER
 ROOT is the repository, and FOLDER a folder to write to. It needs polars, pyarrow, pandas and duckdb.
 """
 
+import json
+import multiprocessing
 import os
+import pickle
 import shutil
 import signal
 import subprocess
@@ -72,6 +75,18 @@ def tables_open_everywhere(run):
     shutil.copytree(run.folder, damaged)
     (damaged / "pairs.parquet").write_bytes(b"PAR1 but no table PAR1")
     raises(loopboost.InputError, "pairs.parquet", lambda: loopboost.Run(damaged).pairs)
+    # The Parquet reader panics for some damaged files. That is an error, and not the end of the process.
+    whole = run.pairs.files[0].read_bytes()
+    for seed in range(300):
+        random = np.random.default_rng(seed)
+        changed = bytearray(whole)
+        for place in random.integers(4, len(whole) - 4, 5):
+            changed[place] = random.integers(256)
+        (damaged / "pairs.parquet").write_bytes(changed)
+        try:
+            pyarrow.table(loopboost.Run(damaged).pairs)
+        except (loopboost.InputError, pyarrow.ArrowException) as error:
+            assert str(error)
     # A file that is damaged after it was opened is an error of the library that reads it.
     opened = loopboost.Run(damaged).keyframes
     opened.files[0].write_bytes(b"")
@@ -148,7 +163,12 @@ def models_score_as_the_program(run):
     raises(loopboost.ArgumentError, "row numbers", model.score_pairs, matrix, [[0, -1]])
     raises(loopboost.ArgumentError, "not finite", model.score_pairs, np.full((2, 16), np.nan), [[0, 1]])
     raises(loopboost.InputError, "full circle", model.featurize, scan["x_m"], scan["y_m"], 180.0)
-    raises(loopboost.InputError, "missing.json", loopboost.Model, FOLDER / "missing.json")
+    raises(loopboost.InputError, "No such file", loopboost.Model, FOLDER / "missing.json")
+    raises(loopboost.ArgumentError, "expected the same", model.score, matrix[0], matrix[0][:3])
+    # In processes that Python forked.
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        for scores in pool.starmap(type(model).score_pairs, [(model, matrix, pairs)] * 2):
+            assert scores.tobytes() == found.tobytes()
     raises(loopboost.InputError, "expected one", loopboost.Model, run.folder)
     raises(loopboost.InputError, "only: quickstart-", run.model, "other")
 
@@ -156,14 +176,22 @@ def models_score_as_the_program(run):
 def commands_report_errors(run):
     error = raises(loopboost.CommandError, "nothing.mcap", loopboost.inspect, FOLDER / "nothing.mcap")
     assert error.exit_code == 1
+    again = pickle.loads(pickle.dumps(error))
+    assert (str(again), again.exit_code, again.log) == (str(error), 1, error.log)
     survey = loopboost.inspect(run.folder / "logs/monday.mcap")
     assert "[ingest]" in survey.pipeline and "suggested pipeline" in survey._repr_html_()
     wrong = {"label.positive_radius": 2}
     raises(loopboost.ArgumentError, "positive_radius_m", loopboost.run, QUICKSTART, FOLDER / "wrong", overrides=wrong)
     raises(loopboost.ArgumentError, "missing.toml", loopboost.run, FOLDER / "missing.toml", FOLDER / "wrong")
     raises(loopboost.CommandError, "detector", loopboost.detect, QUICKSTART, run.model("quickstart-discrete"), FOLDER / "wrong")
-    other = {"simulate.logs": ["lap"], "simulate.path_m": float(300)}
-    raises(loopboost.ArgumentError, "path_m", loopboost.run, QUICKSTART, FOLDER / "wrong", overrides=other)
+    values = {"label.positive_radius_m": np.float64(1.25), "train.learners": ["discrete"], "evaluate.grid.positive_radius_m": np.arange(1, 3).tolist()}
+    values |= {"label.pairs_per_class": np.int64(200)}
+    changed = FOLDER / "changed"
+    shutil.copytree(run.folder, changed)
+    done = loopboost.run(QUICKSTART, changed, overrides=values, force="label")
+    assert list(done.models) == list(run.models) and len(done.pairs) == 400
+    options = json.loads(next(iter(done.pairs.metadata().values()))["loopboost.options"])
+    assert options["positive_radius_m"] == 1.25 and options["pairs_per_class"] == 200, options
 
 
 def a_run_can_be_stopped():

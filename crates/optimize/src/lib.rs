@@ -64,7 +64,8 @@ pub struct Proposal {
 pub enum Reason {
     /// Its confidence is too low.
     LowConfidence,
-    /// It contradicts the odometry and the closures that were kept.
+    /// It contradicts the odometry and the closures that were kept. Or there are very many candidates, and too few of
+    /// those near it agree with it.
     Inconsistent,
     /// Too few of the pairs of places that it predicts to be the same are confirmed by their scans.
     Unsupported,
