@@ -140,9 +140,9 @@ def _pipeline(
 
 def _toml(value: Any) -> str:
     """A value as TOML."""
-    if not isinstance(value, (str, bytes)) and hasattr(value, "item"):
-        # A number of numpy.
-        value = value.item()
+    if hasattr(value, "tolist"):
+        # A number or an array of numpy.
+        value = value.tolist()
     if isinstance(value, dict):
         return "{" + ", ".join(f"{json.dumps(key, ensure_ascii=False)} = {_toml(item)}" for key, item in value.items()) + "}"
     if isinstance(value, (list, tuple)):

@@ -79,11 +79,13 @@ def execute(arguments: list[Any], progress: Callable[[str], None] | None = None)
 
 def _read(pipe: Any, lines: list[str], arrived: queue.SimpleQueue[Any]) -> None:
     """Appends the lines of a pipe, and announces each one, and the end with None."""
-    with pipe:
-        for line in pipe:
-            lines.append(line.rstrip("\n"))
-            arrived.put(pipe)
-    arrived.put(None)
+    try:
+        with pipe:
+            for line in pipe:
+                lines.append(line.rstrip("\n"))
+                arrived.put(pipe)
+    finally:
+        arrived.put(None)
 
 
 def _stop(child: subprocess.Popen[str]) -> None:

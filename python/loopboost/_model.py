@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopboost import _loopboost
-from loopboost._errors import ArgumentError, InputError
+from loopboost._errors import ArgumentError
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
@@ -30,6 +30,13 @@ def _coordinates(name: str, values: ArrayLike) -> NDArray[Any]:
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
+def _returns(x_m: ArrayLike, y_m: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
+    x_m, y_m = _coordinates("x_m", x_m), _coordinates("y_m", y_m)
+    if len(x_m) != len(y_m):
+        raise ArgumentError(f"x_m has {len(x_m)} returns and y_m has {len(y_m)}, expected the same number")
+    return x_m, y_m
+
+
 def featurize(
     x_m: ArrayLike, y_m: ArrayLike, coverage_deg: float = 360.0, set: str = "campus", gate_m: float = GATE_M
 ) -> NDArray[Any]:
@@ -41,24 +48,13 @@ def featurize(
 
     Returns `(n_features,)`, float64, the same bits as in the table of the program. `feature_names(set)` has the names.
     """
-    x_m, y_m = _coordinates("x_m", x_m), _coordinates("y_m", y_m)
-    if len(x_m) != len(y_m):
-        raise ArgumentError(f"x_m has {len(x_m)} returns and y_m has {len(y_m)}, expected the same number")
-    return _loopboost.featurize(x_m, y_m, float(coverage_deg), set, float(gate_m))
+    return _loopboost.featurize(*_returns(x_m, y_m), float(coverage_deg), set, float(gate_m))
 
 
 class Model:
     """A trained classifier of pairs of scans: a `model.json`, or a folder with one model."""
 
     def __init__(self, path: str | PathLike[str]):
-        path = Path(path)
-        if path.is_dir():
-            files = sorted(path.rglob("model.json"))
-            if len(files) != 1:
-                raise InputError(f"{path} has {len(files)} models, expected one; name a file: {', '.join(map(str, files))}")
-            path = files[0]
-        #: The file.
-        self.path = path
         self._model = _loopboost.Model(path)
 
     @classmethod
@@ -74,6 +70,11 @@ class Model:
 
     def _repr_html_(self) -> str:
         return f"<pre>{html.escape(self.card())}</pre>"
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._model.path
 
     @property
     def name(self) -> str:
@@ -130,15 +131,7 @@ class Model:
     def featurize(self, x_m: ArrayLike, y_m: ArrayLike, coverage_deg: float = 360.0) -> NDArray[Any]:
         """The features that the model needs, `(n_features,)`, see `loopboost.featurize`. A scan of another kind than those that
         the model was trained on, such as a half circle instead of a full one, is an error."""
-        self._model.check_coverage(float(coverage_deg))
-        spec = self._section("features")
-        try:
-            known = _loopboost.feature_version(spec["set"]), _loopboost.feature_names(spec["set"])
-        except ArgumentError:
-            known = None
-        if known != (spec["version"], spec["names"]):
-            raise InputError(f"the model {self.name} needs other features than those of this version; train it again")
-        return featurize(x_m, y_m, coverage_deg, spec["set"], spec["gate_m"])
+        return self._model.featurize(*_returns(x_m, y_m), float(coverage_deg))
 
     def score(self, a: ArrayLike, b: ArrayLike) -> float:
         """Confidence that two scans with the features `a` and `b`, each `(n_features,)`, show the same place."""

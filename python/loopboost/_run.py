@@ -33,7 +33,8 @@ PER_RUN = (
 class Run:
     """A run folder. Tables are opened when they are asked for, and read when another library takes them.
 
-    A table goes into polars, pyarrow or DuckDB: `polars.DataFrame(run.closures)`, `pyarrow.table(run.closures)`, `duckdb.from_arrow(pyarrow.table(run.closures))`.
+    A table goes into polars, pyarrow or DuckDB: `polars.DataFrame(run.closures)`, `pyarrow.table(run.closures)`, or after
+    `closures = run.closures`, `duckdb.sql("FROM closures")`.
     """
 
     def __init__(self, folder: str | PathLike[str]):

@@ -17,7 +17,6 @@ fn _loopboost(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<model::Model>()?;
     module.add_class::<table::Table>()?;
     module.add_function(wrap_pyfunction!(features::feature_names, module)?)?;
-    module.add_function(wrap_pyfunction!(features::feature_version, module)?)?;
     module.add_function(wrap_pyfunction!(features::featurize, module)?)?;
     module.add_function(wrap_pyfunction!(main, module)?)
 }

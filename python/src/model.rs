@@ -1,61 +1,65 @@
 //! Models.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use crate::{Class, error};
 use numpy::{PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
+
+use crate::features::features_of;
+use crate::{Class, error};
 
 /// Each thread scores at least so many pairs.
 const MIN_CHUNK: usize = 16384;
 
 /// A model.json.
 #[pyclass(frozen, module = "loopboost._loopboost")]
-pub(crate) struct Model(model::Model);
-
-/// An error and its causes.
-fn with_causes(failed: &dyn std::error::Error) -> String {
-    let mut text = failed.to_string();
-    let mut cause = failed.source();
-    while let Some(next) = cause {
-        text.push_str(&format!(": {next}"));
-        cause = next.source();
-    }
-    text
+pub(crate) struct Model {
+    path: PathBuf,
+    model: model::Model,
 }
 
 #[pymethods]
 impl Model {
-    /// Reads a file, and checks every value and the digest.
+    /// Reads a file, or the only model in a folder, and checks every value and the digest.
     #[new]
     fn new(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        let loaded = py.detach(|| model::load(&path));
-        loaded.map(Self).map_err(|failed| error(py, Class::Input, with_causes(&failed)))
+        let load = || {
+            let path = loopboost::model_file(&path)?;
+            let model = model::load(&path)?;
+            anyhow::Ok(Self { path, model })
+        };
+        py.detach(load).map_err(|failed| error(py, Class::Input, format!("{failed:#}")))
+    }
+
+    /// The file.
+    #[getter]
+    fn path(&self) -> &Path {
+        &self.path
     }
 
     #[getter]
     fn name(&self) -> &str {
-        &self.0.name
+        &self.model.name
     }
 
     #[getter]
     fn version(&self) -> String {
-        self.0.version.to_string()
+        self.model.version.to_string()
     }
 
     #[getter]
     fn learner(&self) -> &'static str {
-        self.0.classifier.learner.name()
+        self.model.classifier.learner.name()
     }
 
     #[getter]
     fn has_detector(&self) -> bool {
-        self.0.detector.is_some()
+        self.model.detector.is_some()
     }
 
     /// The sections `features`, `scans`, `training`, `measured` or `operating_points` of the file, as JSON.
     fn section(&self, py: Python<'_>, name: &str) -> PyResult<String> {
-        let model = &self.0;
+        let model = &self.model;
         let text = match name {
             "features" => serde_json::to_string(&model.features),
             "scans" => serde_json::to_string(&model.scans),
@@ -69,14 +73,23 @@ impl Model {
 
     /// The card of the model as text.
     fn card(&self) -> String {
-        model::card(&self.0)
+        model::card(&self.model)
     }
 
-    /// Whether scans that cover this angle are of the kind that the model was trained on; if not, raises an error.
-    fn check_coverage(&self, py: Python<'_>, coverage_deg: f32) -> PyResult<()> {
+    /// The features that the model needs of a scan, `(n_features,)`. `x_m` and `y_m` have the same length.
+    fn featurize<'py>(
+        &self,
+        py: Python<'py>,
+        x_m: PyReadonlyArray1<'py, f32>,
+        y_m: PyReadonlyArray1<'py, f32>,
+        coverage_deg: f32,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
         let is_ring = dataset::FULL_RING_DEG <= coverage_deg;
-        let checked = self.0.scans.check(coverage_deg, is_ring);
-        checked.map_err(|other| error(py, Class::Input, other))
+        let checked = self.model.scans.check(coverage_deg, is_ring);
+        checked.map_err(|other| error(py, Class::Input, other))?;
+        let options = loopboost::featurize_options(&self.model)
+            .map_err(|unknown| error(py, Class::Input, unknown))?;
+        features_of(py, &x_m, &y_m, coverage_deg, &options)
     }
 
     /// Confidences of pairs of rows of `features`, `(n_pairs,)`. `a` and `b` have the same length, and no row number is
@@ -88,9 +101,9 @@ impl Model {
         a: PyReadonlyArray1<'py, u64>,
         b: PyReadonlyArray1<'py, u64>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let n_features = self.0.features.names.len();
+        let n_features = self.model.features.names.len();
         let (features, a, b) = (features.as_slice()?, a.as_slice()?, b.as_slice()?);
-        let classifier = &self.0.classifier;
+        let classifier = &self.model.classifier;
         let score = |(a, b): (&[u64], &[u64])| {
             let pairs = a.iter().zip(b).map(|(&a, &b)| (a as usize, b as usize));
             classifier.score_pairs(features, n_features, pairs)

@@ -111,19 +111,18 @@ struct Rows {
 impl Rows {
     fn next_batch(&mut self) -> Result<Option<RecordBatch>, String> {
         loop {
-            if let Some((file, reader)) = &mut self.current
-                && let Some(batch) = reader.next()
-            {
-                let read = batch.and_then(|batch| batch.with_schema(self.schema.clone()));
-                return read.map(Some).map_err(|failed| cannot_read(file, failed));
+            if let Some((file, reader)) = &mut self.current {
+                let next = guarded(file, || {
+                    let batch = reader.next().transpose()?;
+                    batch.map(|batch| batch.with_schema(self.schema.clone())).transpose()
+                })?;
+                if next.is_some() {
+                    return Ok(next);
+                }
             }
             let Some(file) = self.files.next() else { return Ok(None) };
-            let built = catch_unwind(AssertUnwindSafe(|| {
-                open(&file).map(ParquetRecordBatchReaderBuilder::build)
-            }));
-            let reader = built
-                .map_err(|_| cannot_read(&file, DAMAGED))??
-                .map_err(|failed| cannot_read(&file, failed))?;
+            let builder = open(&file)?;
+            let reader = guarded(&file, || builder.build())?;
             self.current = Some((file, reader));
         }
     }
@@ -133,13 +132,7 @@ impl Iterator for Rows {
     type Item = Result<RecordBatch, ArrowError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        // The Parquet reader panics for some damaged files. A panic in the C interface would end the process.
-        let next = catch_unwind(AssertUnwindSafe(|| self.next_batch())).unwrap_or_else(|_| {
-            let file = self.current.take().map(|(file, _)| file);
-            self.files = Vec::new().into_iter();
-            Err(cannot_read(&file.unwrap_or_default(), DAMAGED))
-        });
-        next.map_err(|message| ArrowError::ExternalError(message.into())).transpose()
+        self.next_batch().map_err(|message| ArrowError::ExternalError(message.into())).transpose()
     }
 }
 
@@ -149,13 +142,20 @@ impl RecordBatchReader for Rows {
     }
 }
 
-const DAMAGED: &str = "the file is damaged; run the command that made it again";
-
 fn open(file: &Path) -> Result<ParquetRecordBatchReaderBuilder<File>, String> {
     let opened = File::open(file).map_err(|failed| cannot_read(file, failed))?;
-    match catch_unwind(AssertUnwindSafe(|| ParquetRecordBatchReaderBuilder::try_new(opened))) {
-        Ok(builder) => builder.map_err(|failed| cannot_read(file, failed)),
-        Err(_) => Err(cannot_read(file, DAMAGED)),
+    guarded(file, || ParquetRecordBatchReaderBuilder::try_new(opened))
+}
+
+/// What `read` reads from a file. The Parquet reader panics for some damaged files. Here that is an error, because a panic in
+/// the C interface of Arrow would end the process.
+fn guarded<T, E: std::fmt::Display>(
+    file: &Path,
+    read: impl FnOnce() -> Result<T, E>,
+) -> Result<T, String> {
+    match catch_unwind(AssertUnwindSafe(read)) {
+        Ok(read) => read.map_err(|failed| cannot_read(file, failed)),
+        Err(_) => Err(cannot_read(file, "it is damaged; run the command that made it again")),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The program: options, files, progress, exit codes.
 //!
-//! [`main_from`] is the program. The binary and the command of the Python package call it.
+//! [`main_from`] is the program. The binary and the command of the Python package call it. The other functions are those that
+//! the Python package has in common with the program.
 
 /// A line on stdout. Where stdout cannot be written (a full disk), the program says so and fails.
 macro_rules! out {
@@ -76,6 +77,9 @@ use config::UsageError;
 use findings::Failure;
 use fleet::{Conflict, is_storage_trouble};
 use stage::Artifact;
+
+pub use models::file_of as model_file;
+pub use used_model::featurize_options;
 
 /// Exit code: done, and nothing needs attention.
 const DONE: u8 = 0;

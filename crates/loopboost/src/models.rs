@@ -92,7 +92,7 @@ pub(crate) fn export(path: &Path, onnx: &Path, threshold: f64) -> Result<()> {
 }
 
 /// The file of a model: the path itself, or the only `model.json` in a folder and its subfolders.
-pub(crate) fn file_of(path: &Path) -> Result<PathBuf> {
+pub fn file_of(path: &Path) -> Result<PathBuf> {
     if !path.is_dir() {
         return Ok(path.to_owned());
     }

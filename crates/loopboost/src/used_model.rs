@@ -56,7 +56,7 @@ impl UsedModel {
 }
 
 /// The features that a model needs.
-pub(crate) fn featurize_options(model: &Model) -> Result<featurize::Options> {
+pub fn featurize_options(model: &Model) -> Result<featurize::Options> {
     let spec = &model.features;
     let is_known = |set: &FeatureSet| {
         set.name() == spec.set && set.version() == spec.version && set.feature_names() == spec.names

@@ -12,8 +12,8 @@ use crate::support::{GROUP_M, Link, is_close, path_of_links};
 /// places at random, and with many of them the factor of its equations is no longer sparse: it needs memory that grows
 /// with the square of the number of places, and time that grows with the third power.
 const MAX_LINKS: usize = 20_000;
-/// So many others must agree with a link. Right ones have a candidate at each place along the common path, and each
-/// place has other scans.
+/// So many others must agree with a link. Along a path that the robot drives again, one place after the other has a right
+/// link.
 const MIN_AGREEING: usize = 2;
 /// Squared error in standard deviations up to which two candidates agree: three of them in each of two directions,
 /// roughly.

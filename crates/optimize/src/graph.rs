@@ -108,7 +108,7 @@ impl Solver {
         for _ in 0..MAX_STEPS {
             let mut gained = None;
             while damping < MAX_DAMPING {
-                // Again for each damping: the solution takes the place of the equations, so that no copy is needed.
+                // Again for each damping: the factor takes the place of the equations. That needs no copy of them.
                 self.linearize(weights, poses);
                 if let Some(step) = self.system.solve_in_place(damping) {
                     let moved: Vec<Pose2> = poses.iter().zip(&step).map(apply).collect();
