@@ -301,7 +301,7 @@ pub fn register_drive(
     starts.zip(ends).flat_map(of_part).collect()
 }
 
-/// The points of this many scans are computed in parallel before the scans are matched, one after the other.
+/// The points of this many scans are computed in parallel while those before them are matched, one after the other.
 const SCANS_AT_ONCE: usize = 64;
 
 /// Registers a drive as if it had no breaks, and finds them.
@@ -316,11 +316,18 @@ fn register_continuous(
     let odometry = model.corrected_poses(odometry);
     let mut matcher = ScanMatcher::new(*options, *noise).with_usual_noise(model.noise);
     let mut matched: Vec<Matched> = Vec::with_capacity(odometry.len());
-    for first in (0..odometry.len()).step_by(SCANS_AT_ONCE) {
+    let points_from = |first: usize| -> Vec<Points> {
         let block = first..(first + SCANS_AT_ONCE).min(odometry.len());
-        let points = |k: usize| scans.scan(k).points().clone();
-        let points: Vec<Points> = block.clone().into_par_iter().map(points).collect();
-        matched.extend(block.zip(points).map(|(k, points)| matcher.add(points, &odometry[k])));
+        block.into_par_iter().map(|k| scans.scan(k).points().clone()).collect()
+    };
+    let mut points = points_from(0);
+    while !points.is_empty() {
+        let next = matched.len() + points.len();
+        let of_block = odometry[matched.len()..].iter().zip(std::mem::take(&mut points));
+        let add = || of_block.map(|(odometry, points)| matcher.add(points, odometry)).collect();
+        let (block, following): (Vec<Matched>, _) = rayon::join(add, || points_from(next));
+        matched.extend(block);
+        points = following;
     }
     let path_m = path_m(&odometry);
     let is_used: Vec<bool> = matched.iter().map(|matched| matched.is_used).collect();

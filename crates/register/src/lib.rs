@@ -59,6 +59,7 @@ mod map_order;
 mod matcher;
 mod node;
 mod odometry;
+mod panel;
 mod points;
 mod source;
 mod sparse;
