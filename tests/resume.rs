@@ -264,7 +264,11 @@ fn lineage_and_verify_show_the_sources_and_the_changes_of_files() {
         for name in ["keyframes/back.parquet", "scans/there.parquet", "logs/back.mcap", "seed 7"] {
             assert!(printed.contains(name), "{name} is not in:\n{printed}");
         }
+        assert!(!printed.contains("options "), "{printed}");
     }
+    let pairs = out.join("pairs.parquet");
+    let printed = loopboost(&["lineage", pairs.to_str().unwrap(), "--verbose"]).expect(0).stdout;
+    assert!(printed.contains("  options {") && printed.contains("positive_radius_m"), "{printed}");
     // Replace a table by one from another run.
     workplace.command("run", "other", &["--set", "label.positive_radius_m=1.2"]).expect(0);
     fs::copy(workplace.path("other/pairs.parquet"), out.join("pairs.parquet")).unwrap();

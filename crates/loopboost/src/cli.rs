@@ -80,6 +80,9 @@ enum Command {
     Lineage {
         /// A table, a model.json or a report.html
         artifact: PathBuf,
+        /// Print the options that each input was made with, too
+        #[arg(long)]
+        verbose: bool,
     },
     /// The former name of `lineage`.
     #[command(hide = true)]
@@ -297,7 +300,7 @@ impl Command {
             Self::Locate(args) => args.execute(),
             Self::View(args) => args.execute(),
             Self::Map { command } => command.execute(),
-            Self::Lineage { artifact } => done(lineage::lineage(&artifact)),
+            Self::Lineage { artifact, verbose } => done(lineage::lineage(&artifact, verbose)),
             Self::Log { .. } => Err(usage("`loopboost log` was renamed: use `loopboost lineage`")),
             Self::Verify { folder, pipeline } => {
                 let config = pipeline.map(|path| Config::load(&path, &[])).transpose()?;

@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, anyhow};
 use ingest::{LidarOptions, PoseOptions};
 use label::Grouping;
-use schemars::JsonSchema;
+use schemars::{JsonSchema, schema_for};
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
 use crate::detection::{self, DetectSection, OptimizeSection};
 use crate::logs::{self, LogFile, stem};
-use crate::usage::explain;
+use crate::usage::{explain, explain_overrides};
 
 pub(crate) use crate::usage::{UsageError, usage};
 
@@ -224,7 +224,7 @@ impl Config {
         }
         let mut config: Self = Value::Table(table)
             .try_into()
-            .map_err(|e| explain(Path::new(&format!("--set {}", overrides.join(" --set "))), &e))?;
+            .map_err(|e| explain_overrides(overrides, &schema_for!(Self), &e))?;
         config.folder = path.parent().map(Path::to_owned).unwrap_or_default();
         if config.name.is_empty() {
             config.name = stem(path);
@@ -453,9 +453,27 @@ mod tests {
         assert!(message.contains("spacing = 0.5"), "the message shows the line: {message}");
         assert!(message.contains("did you mean `spacing_m`?"), "{message}");
         assert!(error("sed = 3\n", &[]).contains("did you mean `seed`?"));
-        assert!(
-            error("", &["label.positive_radius=2"]).contains("did you mean `positive_radius_m`?")
-        );
+        for (key, expected) in [
+            ("label.positive_radius", "label.positive_radius_m"),
+            ("positive_radius_m", "evaluate.grid.positive_radius_m` or `label.positive_radius_m"),
+            ("pose.topic", "ingest.pose.topic"),
+            ("ingest.pose.topc", "ingest.pose.topic"),
+            ("lidar.ring", "ingest.lidar.ring"),
+            ("truth.topic", "evaluate.truth.topic"),
+            ("discrete.rounds", ""),
+            ("label.x", ""),
+            ("train.seed", ""),
+            ("evaluate.foo", ""),
+            ("upside_down", "ingest.lidar.upside_down` or `simulate.upside_down"),
+        ] {
+            let message = error("", &[&format!("{key}=2")]);
+            let hint = message.split_once("did you mean `").map_or("", |(_, hint)| hint);
+            assert_eq!(hint.trim_end_matches("`?"), expected, "{message}");
+        }
+        // The first key is right, and a part of the second one is unknown.
+        let message = error("", &["label.place_m=4", "train.place_m=3"]);
+        assert!(!message.contains("did you mean `label"), "{message}");
+        assert!(error("", &["label={positive_radius=2}"]).contains("`positive_radius_m`?"));
         assert!(
             error("[train]\nlearners = [\"gentle\"]\n", &[])
                 .contains("did you mean `gentle_line`?")

@@ -13,8 +13,8 @@ use crate::logs::file_name;
 use crate::run::Manifest;
 
 /// Prints the inputs of an artifact, their inputs, and so on as a tree. Each artifact contains its own
-/// provenance.
-pub(crate) fn lineage(artifact: &Path) -> Result<()> {
+/// provenance. `is_verbose` adds the options.
+pub(crate) fn lineage(artifact: &Path, is_verbose: bool) -> Result<()> {
     let (kind, provenance) = provenance_of(artifact)?.ok_or_else(|| {
         anyhow!(
             "{} has no provenance; expected a table, a model.json or a report.html written by loopboost",
@@ -22,47 +22,49 @@ pub(crate) fn lineage(artifact: &Path) -> Result<()> {
         )
     })?;
     out!("{}", artifact.display());
-    print_branch(artifact, &kind, &provenance, "", &mut BTreeSet::new());
+    let mut tree = Tree { is_verbose, shown: BTreeSet::new() };
+    tree.print(artifact, &kind, &provenance, "");
     Ok(())
 }
 
-fn print_branch(
-    artifact: &Path,
-    kind: &str,
-    provenance: &Provenance,
-    indent: &str,
-    shown: &mut BTreeSet<String>,
-) {
-    let seed = provenance.seed.map(|seed| format!("seed {seed}, ")).unwrap_or_default();
-    out!(
-        "{indent}  {kind}, loopboost {}, {seed}options {}",
-        provenance.program_version,
-        provenance.options
-    );
-    for (loss, n) in provenance.losses.iter() {
-        out!("{indent}  left out: {}", loss.sentence(n));
-    }
-    for note in &provenance.notes {
-        out!("{indent}  note: {note}");
-    }
-    let last = provenance.inputs.len().saturating_sub(1);
-    for (k, (name, digest)) in provenance.inputs.iter().enumerate() {
-        let (branch, below) = if k == last { ("└─ ", "   ") } else { ("├─ ", "│  ") };
-        let path = find_input(artifact, name);
-        let state = match path.as_deref().map(digest_file) {
-            Some(Ok(now)) if now == *digest => "",
-            Some(Ok(_)) => "  (changed since)",
-            Some(Err(_)) => "  (unreadable)",
-            None => "  (not in the run folder)",
-        };
-        out!("{indent}{branch}{name}  {}{state}", short(digest));
-        let Some(path) = path else { continue };
-        let Ok(Some((kind, provenance))) = provenance_of(&path) else { continue };
-        let indent = format!("{indent}{below}");
-        if shown.insert(name.clone()) {
-            print_branch(&path, &kind, &provenance, &indent, shown);
-        } else {
-            out!("{indent}  (inputs shown above)");
+struct Tree {
+    is_verbose: bool,
+    /// Inputs whose inputs were printed.
+    shown: BTreeSet<String>,
+}
+
+impl Tree {
+    fn print(&mut self, artifact: &Path, kind: &str, provenance: &Provenance, indent: &str) {
+        let seed = provenance.seed.map(|seed| format!(", seed {seed}")).unwrap_or_default();
+        out!("{indent}  {kind}, loopboost {}{seed}", provenance.program_version);
+        if self.is_verbose {
+            out!("{indent}  options {}", provenance.options);
+        }
+        for (loss, n) in provenance.losses.iter() {
+            out!("{indent}  left out: {}", loss.sentence(n));
+        }
+        for note in &provenance.notes {
+            out!("{indent}  note: {note}");
+        }
+        let last = provenance.inputs.len().saturating_sub(1);
+        for (k, (name, digest)) in provenance.inputs.iter().enumerate() {
+            let (branch, below) = if k == last { ("└─ ", "   ") } else { ("├─ ", "│  ") };
+            let path = find_input(artifact, name);
+            let state = match path.as_deref().map(digest_file) {
+                Some(Ok(now)) if now == *digest => "",
+                Some(Ok(_)) => "  (changed since)",
+                Some(Err(_)) => "  (unreadable)",
+                None => "  (not in the run folder)",
+            };
+            out!("{indent}{branch}{name}  {}{state}", short(digest));
+            let Some(path) = path else { continue };
+            let Ok(Some((kind, provenance))) = provenance_of(&path) else { continue };
+            let indent = format!("{indent}{below}");
+            if self.shown.insert(name.clone()) {
+                self.print(&path, &kind, &provenance, &indent);
+            } else {
+                out!("{indent}  (inputs shown above)");
+            }
         }
     }
 }

@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+use serde_json::{Map, Value};
+
 /// The command line or the pipeline file is invalid; exit code 2.
 #[derive(Debug)]
 pub(crate) struct UsageError(String);
@@ -21,6 +23,9 @@ pub(crate) fn usage(message: impl std::fmt::Display) -> anyhow::Error {
 /// Names that are less similar than this are not suggested. A missing or an exchanged letter, and a
 /// missing unit at the end, give 0.9 or more; unrelated names give 0.4 to 0.7.
 const MIN_SIMILARITY: f64 = 0.8;
+
+/// The most keys that are suggested.
+const MAX_SUGGESTED: usize = 3;
 
 /// What `serde` calls the types of values, and what people call them.
 const TYPE_NAMES: [(&str, &str); 22] = [
@@ -59,22 +64,106 @@ fn in_plain_words(message: &str) -> String {
 
 /// A TOML error with its place and, for an unknown key or name, the most similar known one.
 pub(crate) fn explain(place: &Path, error: &toml::de::Error) -> anyhow::Error {
-    let described = error.to_string().replace(error.message(), &in_plain_words(error.message()));
-    let mut text = format!("{}: {}", place.display(), described.trim_end());
+    with_hint(describe(&place.display(), error), similar_name(error.message()))
+}
+
+/// The same for `KEY=VALUE` overrides. For an unknown key, the most similar one of the keys of a schema, with the
+/// sections that it is in.
+pub(crate) fn explain_overrides(
+    overrides: &[String],
+    schema: &schemars::Schema,
+    error: &toml::de::Error,
+) -> anyhow::Error {
+    let place = format!("--set {}", overrides.join(" --set "));
     let message = error.message();
-    if let Some(known) =
-        message.split("expected one of ").nth(1).or(message.split("expected ").nth(1))
-        && message.starts_with("unknown ")
-    {
-        let unknown = message.split('`').nth(1).unwrap_or_default();
-        let nearest = known.split('`').skip(1).step_by(2).max_by(|a, b| {
-            strsim::jaro_winkler(unknown, a).total_cmp(&strsim::jaro_winkler(unknown, b))
-        });
-        if let Some(nearest) = nearest
-            && MIN_SIMILARITY <= strsim::jaro_winkler(unknown, nearest)
-        {
-            text.push_str(&format!("\nhint: did you mean `{nearest}`?"));
+    let similar = match message.strip_prefix("unknown field `").and_then(|m| m.split('`').next()) {
+        Some(unknown) => {
+            let keys = keys(schema);
+            let key = |text: &String| Some(text.split_once('=')?.0.trim().to_owned());
+            let is_wrong =
+                |key: &String| key.split('.').any(|part| part == unknown) && !keys.contains(key);
+            let typed = overrides.iter().filter_map(key).find(is_wrong);
+            let key =
+                typed.and_then(|typed| known_key(&typed, unknown, similar_name(message), &keys));
+            key.or_else(|| similar_name(message))
         }
+        None => similar_name(message),
+    };
+    with_hint(describe(&place, error), similar)
+}
+
+/// The whole key for one with an unknown part. `similar` is a known name in the same section that is like the unknown
+/// part.
+fn known_key(
+    typed: &str,
+    unknown: &str,
+    similar: Option<String>,
+    keys: &[String],
+) -> Option<String> {
+    if let Some(similar) = similar {
+        let part = |part| if part == unknown { similar.as_str() } else { part };
+        return Some(typed.split('.').map(part).collect::<Vec<_>>().join("."));
     }
-    usage(text)
+    // The first sections are missing. All keys that end like this may be meant.
+    let is_end = |key: &&String| key.strip_suffix(typed).is_some_and(|start| start.ends_with('.'));
+    let ends: Vec<&str> =
+        keys.iter().filter(is_end).map(String::as_str).take(MAX_SUGGESTED).collect();
+    (!ends.is_empty()).then(|| ends.join("` or `"))
+}
+
+fn describe(place: &dyn std::fmt::Display, error: &toml::de::Error) -> String {
+    let described = error.to_string().replace(error.message(), &in_plain_words(error.message()));
+    format!("{place}: {}", described.trim_end())
+}
+
+fn with_hint(text: String, similar: Option<String>) -> anyhow::Error {
+    usage(match similar {
+        Some(similar) => format!("{text}\nhint: did you mean `{similar}`?"),
+        None => text,
+    })
+}
+
+/// The name that an error about an unknown one suggests.
+fn similar_name(message: &str) -> Option<String> {
+    let rest = message.strip_prefix("unknown ")?;
+    let known = rest.split("expected one of ").nth(1).or(rest.split("expected ").nth(1))?;
+    let unknown = rest.split('`').nth(1).unwrap_or_default();
+    let similarity = |name: &&str| strsim::jaro_winkler(unknown, name);
+    let nearest = known
+        .split('`')
+        .skip(1)
+        .step_by(2)
+        .max_by(|a, b| similarity(a).total_cmp(&similarity(b)))?;
+    (MIN_SIMILARITY <= similarity(&nearest)).then(|| nearest.to_owned())
+}
+
+/// All keys of a schema with their sections, such as `ingest.pose.topic`.
+fn keys(schema: &schemars::Schema) -> Vec<String> {
+    let mut keys = Vec::new();
+    if let Some(root) = schema.as_object() {
+        let definitions = root.get("$defs").and_then(Value::as_object);
+        add_keys(&Value::Object(root.clone()), "", definitions, &mut keys);
+    }
+    keys
+}
+
+fn add_keys(
+    schema: &Value,
+    section: &str,
+    definitions: Option<&Map<String, Value>>,
+    keys: &mut Vec<String>,
+) {
+    let Some(schema) = schema.as_object() else { return };
+    let referred = schema.get("$ref").and_then(Value::as_str);
+    let referred = referred.and_then(|name| definitions?.get(name.rsplit('/').next()?));
+    let choices = ["anyOf", "oneOf", "allOf"].into_iter().filter_map(|name| schema.get(name));
+    let choices = choices.filter_map(Value::as_array).flatten();
+    for part in referred.into_iter().chain(choices) {
+        add_keys(part, section, definitions, keys);
+    }
+    for (name, value) in schema.get("properties").and_then(Value::as_object).into_iter().flatten() {
+        let key = format!("{section}{name}");
+        keys.push(key.clone());
+        add_keys(value, &format!("{key}."), definitions, keys);
+    }
 }

@@ -425,7 +425,7 @@ impl Run {
             && self.changes_since(&record, &provenance).is_empty()
         {
             for summary in &record.summaries {
-                self.print(task.stage, format!("{summary} (unchanged)"));
+                self.print(task.stage, format!("{} (unchanged)", self.sentence(summary)));
             }
             return Ok(Ok(Findings { losses: record.losses, notes: record.notes }));
         }
@@ -478,7 +478,7 @@ impl Run {
             outputs.insert(self.folder.name_of(path), self.digest(path)?);
         }
         for summary in &done.summaries {
-            self.print(stage, summary);
+            self.print(stage, self.sentence(summary));
         }
         let record = Record {
             program_version: provenance.program_version,
@@ -492,6 +492,17 @@ impl Run {
         };
         self.change(Change::Done { task: name, record })?;
         Ok(Findings { losses: done.losses, notes: done.notes })
+    }
+
+    /// What a summary says. The full path of a file can be opened from any folder.
+    fn sentence(&self, summary: &Summary) -> String {
+        match summary {
+            Summary::Written { file } => {
+                let path = self.folder.path(file);
+                std::path::absolute(&path).unwrap_or(path).display().to_string()
+            }
+            summary => summary.to_string(),
+        }
     }
 
     /// Prints a result on stdout.
