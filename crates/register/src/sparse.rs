@@ -418,6 +418,35 @@ mod tests {
         assert_eq!(system.blocks, single.blocks);
     }
 
+    /// A dense system of 160 poses, whose columns are inverted by several threads.
+    #[test]
+    fn the_inverse_of_a_dense_system_does_not_depend_on_the_threads() {
+        const N: usize = 160;
+        const { assert!(MANY_PRODUCTS < (N - 1) * (N - 1)) };
+        let mut random = SplitMix64::new(11);
+        let pairs: Vec<(usize, usize)> =
+            (0..N).flat_map(|a| (a + 1..N).map(move |b| (a, b))).collect();
+        let mut system = BlockSystem::new(N, pairs.iter().copied());
+        let mut dense = DMatrix::identity(3 * N, 3 * N) * 400.0;
+        (0..N).for_each(|k| system.add(k, k, &Matrix3::from_diagonal_element(400.0)));
+        for (a, b) in pairs {
+            let block = Matrix3::from_fn(|_, _| random.unit() - 0.5);
+            system.add(a, b, &block);
+            dense.fixed_view_mut::<3, 3>(3 * a, 3 * b).copy_from(&block);
+            dense.fixed_view_mut::<3, 3>(3 * b, 3 * a).copy_from(&block.transpose());
+        }
+        let with_threads = |n: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+            pool.install(|| system.clone().into_inverse_diagonal().unwrap())
+        };
+        let blocks = with_threads(3);
+        assert_eq!(blocks, with_threads(1));
+        let inverse = dense.try_inverse().unwrap();
+        for (k, block) in blocks.iter().enumerate() {
+            assert!((block - inverse.fixed_view::<3, 3>(3 * k, 3 * k)).norm() < 1e-12, "{k}");
+        }
+    }
+
     /// A ring of poses with chords: the factor stays sparse.
     #[test]
     fn the_factor_of_a_drive_with_closures_is_sparse() {
