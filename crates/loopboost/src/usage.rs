@@ -67,8 +67,7 @@ pub(crate) fn explain(place: &Path, error: &toml::de::Error) -> anyhow::Error {
     with_hint(describe(&place.display(), error), similar_name(error.message()))
 }
 
-/// The same for `KEY=VALUE` overrides. For an unknown key, the most similar one of the keys of a schema, with the
-/// sections that it is in.
+/// The same for `KEY=VALUE` overrides. For an unknown key, the hint has a key of the schema with all of its sections.
 pub(crate) fn explain_overrides(
     overrides: &[String],
     schema: &schemars::Schema,
@@ -76,32 +75,24 @@ pub(crate) fn explain_overrides(
 ) -> anyhow::Error {
     let place = format!("--set {}", overrides.join(" --set "));
     let message = error.message();
-    let similar = match message.strip_prefix("unknown field `").and_then(|m| m.split('`').next()) {
-        Some(unknown) => {
-            let keys = keys(schema);
-            let key = |text: &String| Some(text.split_once('=')?.0.trim().to_owned());
-            let is_wrong =
-                |key: &String| key.split('.').any(|part| part == unknown) && !keys.contains(key);
-            let typed = overrides.iter().filter_map(key).find(is_wrong);
-            let key =
-                typed.and_then(|typed| known_key(&typed, unknown, similar_name(message), &keys));
-            key.or_else(|| similar_name(message))
-        }
-        None => similar_name(message),
-    };
-    with_hint(describe(&place, error), similar)
+    let similar = similar_name(message);
+    let unknown = message.strip_prefix("unknown field `").and_then(|rest| rest.split('`').next());
+    let key = unknown.and_then(|unknown| {
+        let keys = keys(schema);
+        let key = |text: &String| Some(text.split_once('=')?.0.trim().to_owned());
+        let is_wrong =
+            |key: &String| key.split('.').any(|part| part == unknown) && !keys.contains(key);
+        let typed = overrides.iter().filter_map(key).find(is_wrong)?;
+        known_key(&typed, unknown, similar.as_deref(), &keys)
+    });
+    with_hint(describe(&place, error), key.or(similar))
 }
 
 /// The whole key for one with an unknown part. `similar` is a known name in the same section that is like the unknown
 /// part.
-fn known_key(
-    typed: &str,
-    unknown: &str,
-    similar: Option<String>,
-    keys: &[String],
-) -> Option<String> {
+fn known_key(typed: &str, unknown: &str, similar: Option<&str>, keys: &[String]) -> Option<String> {
     if let Some(similar) = similar {
-        let part = |part| if part == unknown { similar.as_str() } else { part };
+        let part = |part| if part == unknown { similar } else { part };
         return Some(typed.split('.').map(part).collect::<Vec<_>>().join("."));
     }
     // The first sections are missing. All keys that end like this may be meant.

@@ -33,9 +33,9 @@ pub(crate) struct Panel<'a> {
     values: Vec<f64>,
 }
 
-/// What [`Panel::subtract_products`] works with. It can be used again.
+/// Memory for [`Panel::subtract_products`]. It can be used again.
 #[derive(Default)]
-pub(crate) struct Target {
+pub(crate) struct Scratch {
     values: Vec<f64>,
     /// The position of each row in the target.
     positions: Vec<usize>,
@@ -61,7 +61,7 @@ impl<'a> Panel<'a> {
         first: usize,
         target: &mut [Matrix3<f64>],
         target_rows: &[u32],
-        Target { values, positions }: &mut Target,
+        Scratch { values, positions }: &mut Scratch,
     ) {
         positions.clear();
         let mut at = 0;
@@ -110,7 +110,8 @@ fn subtract_avx2(target: &mut [f64], panel: &[f64], n_panel: usize) {
     subtract_all(target, panel, n_panel);
 }
 
-/// `target` has three columns, and `panel` columns of `n_panel` numbers, of which the last ones belong to `target`.
+/// `target` has three columns, and `panel` has columns of `n_panel` numbers. The last numbers of a column have the rows of
+/// `target`.
 #[inline(always)]
 fn subtract_all(target: &mut [f64], panel: &[f64], n_panel: usize) {
     let n = target.len() / 3;

@@ -7,7 +7,7 @@ use std::ops::Range;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
-use crate::panel::{Panel, Target, panels};
+use crate::panel::{Panel, Scratch, panels};
 
 /// `A x = b` with a fixed structure, where A is symmetric and has a row of blocks per pose.
 ///
@@ -134,17 +134,17 @@ impl BlockSystem {
         let of_column = |k: usize| &done[starts[k + 1] - below.len()..starts[k + 1]];
         let of_panel = Panel::new(below, panel.clone().map(of_column));
         let targets = columns(rest, starts, panel.end, below);
-        let subtract = |with: &mut Target, (first, target): (usize, &mut [Matrix3<f64>])| {
+        let subtract = |scratch: &mut Scratch, (first, target): (usize, &mut [Matrix3<f64>])| {
             let column = below[first] as usize;
             let rows = &self.rows[starts[column]..starts[column + 1]];
-            of_panel.subtract_products(first, target, rows, with);
+            of_panel.subtract_products(first, target, rows, scratch);
         };
         if MANY_PRODUCTS < panel.len() * below.len() * below.len() / 2 {
             let targets = targets.into_par_iter().enumerate();
-            targets.for_each_init(Target::default, subtract);
+            targets.for_each_init(Scratch::default, subtract);
         } else {
-            let mut with = Target::default();
-            targets.into_iter().enumerate().for_each(|target| subtract(&mut with, target));
+            let mut scratch = Scratch::default();
+            targets.into_iter().enumerate().for_each(|target| subtract(&mut scratch, target));
         }
         Some(())
     }
