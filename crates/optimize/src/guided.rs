@@ -7,8 +7,8 @@ use model::ClosureNoise;
 use nalgebra::Matrix3;
 use rayon::prelude::*;
 use register::{
-    AlignOptions, Fit, Preference, Prior, Window, align, closure_covariance, fit, fit_options,
-    map_order, search,
+    AlignOptions, Fit, Preference, Prior, Window, align_roughly, closure_covariance, fit,
+    fit_options, map_order, search,
 };
 
 use crate::places::{Place, Places};
@@ -25,9 +25,8 @@ const PREFERENCE: f64 = 0.05;
 /// More starts, relative to the prediction: x \[m\], y \[m\], heading \[rad\].
 const MORE_STARTS: [[f64; 3]; 4] =
     [[0.35, 0.0, 0.06], [-0.35, 0.0, -0.06], [0.0, 0.35, -0.06], [0.0, -0.35, 0.06]];
-/// The most iterations of an alignment, and those after which most starts are near the best pose.
+/// The most iterations of an alignment.
 const ITERATIONS: u32 = 20;
-const FIRST_ITERATIONS: u32 = 8;
 /// The most starts that may lead to a rival: one of six.
 const MAX_RIVALS: usize = 1;
 /// Another pose is a rival of the best one if its known overlap minus conflict is less by at most this. The value
@@ -240,12 +239,12 @@ fn compare_pair(a: &Place, b: &Place, prediction: &Prediction) -> Compared {
     };
     let preference = Preference { pose: expected, per_m2: PREFERENCE, per_rad2: PREFERENCE };
     let found = search(&a.walls, &b.few_points, &window, &preference).pose;
-    let aligned = |start: &Pose2, options: &AlignOptions| {
-        let prior = Prior::none(*start);
-        align(b.node.sample(), a.node.target(), start, &prior, options).target_from_source
+    // The measurement aligns with all points.
+    let end = |start: &Pose2| {
+        let options = fit_options(0.5, ITERATIONS);
+        align_roughly(b.node.sample(), a.node.target(), start, &Prior::none(*start), &options)
     };
     let measured = |end: &Pose2| fit(&a.node, &b.node, end, &last_options());
-    let end = |start: &Pose2| aligned(start, &fit_options(0.5, ITERATIONS));
     let of_found = end(&found);
     // The search often finds the predicted pose itself.
     let of_expected = if found == expected { of_found } else { end(&expected) };
@@ -263,16 +262,8 @@ fn compare_pair(a: &Place, b: &Place, prediction: &Prediction) -> Compared {
             y_m: expected.y_m + y,
             heading_rad: expected.heading_rad + heading,
         });
-        // Most of them come near the best pose soon.
-        let end_of = |start: &Pose2| {
-            let near = aligned(start, &fit_options(0.5, FIRST_ITERATIONS));
-            match is_elsewhere(&best.a_from_b, &near) {
-                true => aligned(&near, &fit_options(0.2, ITERATIONS - FIRST_ITERATIONS)),
-                false => near,
-            }
-        };
         // Lazily: the starts after one rival too many are not tried.
-        let rivals = ends.into_iter().chain(more.iter().map(end_of)).filter(leads_to_rival);
+        let rivals = ends.into_iter().chain(more.iter().map(end)).filter(leads_to_rival);
         compared.is_agreed = rivals.take(MAX_RIVALS + 1).count() <= MAX_RIVALS;
     }
     compared
@@ -363,7 +354,6 @@ mod tests {
             prior_information: Matrix3::zeros(),
             n_partners: 100,
             rms_m: 0.01,
-            near_share: 1.0,
         };
         let known = 1.0;
         Fit {

@@ -4,7 +4,7 @@
 #![allow(clippy::print_stdout, reason = "an example prints its result")]
 
 use dataset::{Pose2, RangeLimits, Scan};
-use register::{AlignOptions, Points, Prior, Target, align};
+use register::{AlignOptions, Explained, Points, Prior, Target, align_and_explain};
 
 /// A scan over 180 deg of two walls that meet in a corner at (4, 3) of the map.
 fn scan(map_from_lidar: &Pose2) -> Scan {
@@ -34,17 +34,18 @@ fn main() {
     let odometry = Pose2 { x_m: 0.6, y_m: 0.2, heading_rad: 0.1 + 1f64.to_radians() };
     let prior = Prior::independent(odometry, 0.1, 0.1, 2f64.to_radians());
     let target = Target::new(first, options.first_gate_m);
-    let aligned = align(&second, &target, &odometry, &prior, &options);
+    let Explained { alignment, near_share } =
+        align_and_explain(&second, &target, &odometry, &prior, &options);
 
-    let Pose2 { x_m, y_m, heading_rad } = aligned.target_from_source;
+    let Pose2 { x_m, y_m, heading_rad } = alignment.target_from_source;
     println!("moved by {x_m:.3} m, {y_m:.3} m, {:.2} deg", heading_rad.to_degrees());
-    println!("{:.0} % of the points are near the first scan", 100.0 * aligned.near_share);
-    if let Some(covariance) = aligned.covariance(&options) {
+    println!("{:.0} % of the points are near the first scan", 100.0 * near_share);
+    if let Some(covariance) = alignment.covariance(&options) {
         let [x_m, y_m, heading_rad] = [0, 1, 2].map(|k| covariance[(k, k)].sqrt());
         let heading_deg = heading_rad.to_degrees();
         println!("standard deviations {x_m:.4} m, {y_m:.4} m, {heading_deg:.3} deg");
     }
-    if let Some(weakness) = aligned.weakness {
+    if let Some(weakness) = alignment.weakness {
         println!("smallest over largest information about the position: {:.2}", weakness.ratio);
     }
 }

@@ -16,7 +16,8 @@ pub struct AlignOptions {
     pub max_iterations: u32,
     /// A point and its partner are at most this far apart in the first iteration \[m\].
     pub first_gate_m: f64,
-    /// The same in the sixth iteration and after it \[m\]. The gate shrinks linearly.
+    /// The same in the sixth iteration and after it \[m\]. The gate shrinks linearly. It is reached earlier if an
+    /// iteration hardly changes the pose.
     pub last_gate_m: f64,
     /// Residuals above this value count linearly instead of quadratically (Huber) \[m\].
     pub huber_m: f64,
@@ -96,8 +97,6 @@ pub struct Alignment {
     /// Root mean square of the distances from the lines of the partners, each at most `huber_m`
     /// \[m\].
     pub rms_m: f64,
-    /// Share of the points that the target explains, see [`near_share`].
-    pub near_share: f64,
 }
 
 /// A point within this distance of the line of a target point is explained \[m\].
@@ -179,12 +178,14 @@ pub(crate) fn discount_normals(
     (information - along * along.transpose() * (lost * least), gradient - along * (lost * pull))
 }
 
-/// The iteration in which the gate reaches its last value.
-const LAST_GATE_ITERATION: u32 = 5;
+/// The gate has its last value after this many steps.
+const LAST_GATE: u32 = 5;
 /// The smallest cosine of the angle between the normals of a point and its partner: 60 deg.
 const MIN_NORMAL_COS: f64 = 0.5;
 /// An iteration that changes the pose by less than this sum is the last one \[m + rad\].
 const CONVERGED: f64 = 2e-4;
+/// After an iteration that changes the pose by less than this sum, the gate has its last value \[m + rad\].
+const NEARLY_CONVERGED: f64 = 2e-3;
 /// Added to the diagonal of the information, so that directions without any information stay.
 const DAMPING: f64 = 1e-6;
 
@@ -202,6 +203,15 @@ struct Sums {
     n_partners: usize,
     /// Sum of the squared residuals, each at most `huber_m`.
     squares_m2: f64,
+}
+
+impl Sums {
+    const NONE: Self = Self {
+        information: Matrix3::from_array_storage(nalgebra::ArrayStorage([[0.0; 3]; 3])),
+        gradient: Vector3::new(0.0, 0.0, 0.0),
+        n_partners: 0,
+        squares_m2: 0.0,
+    };
 }
 
 /// Aligns points with a target by Gauss-Newton on the distances from the lines of their partners
@@ -227,48 +237,119 @@ pub fn align(
     prior: &Prior,
     options: &AlignOptions,
 ) -> Alignment {
-    let mut pose = *start;
-    let mut searches = Searches::new(target, source.len());
-    let is_large = EVERY * MIN_FEW_POINTS <= source.len();
-    let n_first = LAST_GATE_ITERATION.min(options.max_iterations.saturating_sub(1));
-    let every = |iteration| if is_large && iteration < n_first { EVERY } else { 1 };
-    let mut sums =
-        sum_pairs(source, target, &mut searches, &pose, every(0), options.first_gate_m, options);
-    for iteration in 0..options.max_iterations {
-        if 0 < iteration {
-            let gate_m = gate_m(iteration, options);
-            sums =
-                sum_pairs(source, target, &mut searches, &pose, every(iteration), gate_m, options);
+    Aligner::new(source, target, prior, options).align(start, false)
+}
+
+/// An alignment, and how much the target explains at its result.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Explained {
+    /// The alignment.
+    pub alignment: Alignment,
+    /// Share of the points that the target explains, see [`near_share`].
+    pub near_share: f64,
+}
+
+/// [`align`], and the share of the points that the target explains. It costs about as much as two iterations.
+///
+/// # Panics
+/// As [`align`].
+pub fn align_and_explain(
+    source: &Points,
+    target: &Target,
+    start: &Pose2,
+    prior: &Prior,
+    options: &AlignOptions,
+) -> Explained {
+    let mut aligner = Aligner::new(source, target, prior, options);
+    let alignment = aligner.align(start, false);
+    let pose = &alignment.target_from_source;
+    let searches = &mut aligner.searches;
+    let near_share = share_of_near(source, target, searches, pose, options.first_gate_m);
+    Explained { alignment, near_share }
+}
+
+/// The pose of [`align`] by every third point in all iterations, if that leaves enough. It is good enough as a start,
+/// and to see which starts lead to the same pose.
+///
+/// # Panics
+/// As [`align`].
+pub fn align_roughly(
+    source: &Points,
+    target: &Target,
+    start: &Pose2,
+    prior: &Prior,
+    options: &AlignOptions,
+) -> Pose2 {
+    Aligner::new(source, target, prior, options).align(start, true).target_from_source
+}
+
+struct Aligner<'a> {
+    source: &'a Points,
+    target: &'a Target,
+    prior: &'a Prior,
+    options: &'a AlignOptions,
+    searches: Searches<'a>,
+}
+
+impl<'a> Aligner<'a> {
+    fn new(
+        source: &'a Points,
+        target: &'a Target,
+        prior: &'a Prior,
+        options: &'a AlignOptions,
+    ) -> Self {
+        let searches = Searches::new(target, source.len());
+        Self { source, target, prior, options, searches }
+    }
+
+    fn align(&mut self, start: &Pose2, is_rough: bool) -> Alignment {
+        let is_large = EVERY * MIN_FEW_POINTS <= self.source.len();
+        let mut pose = *start;
+        let mut sums = Sums::NONE;
+        let mut gate = 0;
+        let n = self.options.max_iterations.max(1);
+        for iteration in 0..n {
+            let is_first = gate < LAST_GATE && iteration + 1 < n;
+            let every = if is_large && (is_first || is_rough) { EVERY } else { 1 };
+            sums = self.sum_pairs(&pose, every, gate_m(gate, self.options));
+            if self.options.max_iterations == 0 {
+                break;
+            }
+            let Some(step) = self.step(&sums, &pose) else { break };
+            pose.x_m -= step[0];
+            pose.y_m -= step[1];
+            pose.heading_rad = wrap_angle(pose.heading_rad - step[2]);
+            let moved = step.abs().sum();
+            if gate == LAST_GATE && moved < CONVERGED {
+                break;
+            }
+            gate = if moved < NEARLY_CONVERGED { LAST_GATE } else { LAST_GATE.min(gate + 1) };
         }
-        let from_prior = prior.off(&pose);
-        let (from_points, gradient) = discount_normals(&sums.information, &sums.gradient);
-        let information = from_points + prior.information + Matrix3::from_diagonal_element(DAMPING);
-        let gradient = gradient + prior.information * from_prior;
-        // The information is positive definite because of the damping.
-        let Some(factor) = information.cholesky() else { break };
-        let step = factor.solve(&gradient);
-        pose.x_m -= step[0];
-        pose.y_m -= step[1];
-        pose.heading_rad = wrap_angle(pose.heading_rad - step[2]);
-        if LAST_GATE_ITERATION < iteration && step.abs().sum() < CONVERGED {
-            break;
+        let n = sums.n_partners;
+        Alignment {
+            target_from_source: pose,
+            information: discount_normals(&sums.information, &sums.gradient).0,
+            weakness: weakness_of(&sums.information).filter(|_| 0 < n),
+            prior_information: self.prior.information,
+            n_partners: n,
+            rms_m: (sums.squares_m2 / n.max(1) as f64).sqrt(),
         }
     }
-    let n = sums.n_partners;
-    Alignment {
-        target_from_source: pose,
-        information: discount_normals(&sums.information, &sums.gradient).0,
-        weakness: weakness_of(&sums.information).filter(|_| 0 < n),
-        prior_information: prior.information,
-        n_partners: n,
-        rms_m: (sums.squares_m2 / n.max(1) as f64).sqrt(),
-        near_share: share_of_near(source, target, &mut searches, &pose, options.first_gate_m),
+
+    /// What is subtracted from the pose. The equations have a solution, because the damping makes them positive
+    /// definite.
+    fn step(&self, sums: &Sums, pose: &Pose2) -> Option<Vector3<f64>> {
+        let prior = self.prior;
+        let (from_points, gradient) = discount_normals(&sums.information, &sums.gradient);
+        let information = from_points + prior.information + Matrix3::from_diagonal_element(DAMPING);
+        let gradient = gradient + prior.information * prior.off(pose);
+        Some(information.cholesky()?.solve(&gradient))
     }
 }
 
-/// The gate of an iteration \[m\].
-fn gate_m(iteration: u32, options: &AlignOptions) -> f64 {
-    let share = f64::from(iteration.min(LAST_GATE_ITERATION)) / f64::from(LAST_GATE_ITERATION);
+/// The gate after some steps \[m\].
+fn gate_m(gate: u32, options: &AlignOptions) -> f64 {
+    let share = f64::from(gate) / f64::from(LAST_GATE);
     options.first_gate_m + share * (options.last_gate_m - options.first_gate_m)
 }
 
@@ -306,52 +387,42 @@ fn share_of_near(
     n_near as f64 / source.len().max(1) as f64
 }
 
-fn sum_pairs(
-    source: &Points,
-    target: &Target,
-    searches: &mut Searches<'_>,
-    pose: &Pose2,
-    every: usize,
-    gate_m: f64,
-    options: &AlignOptions,
-) -> Sums {
-    let motion = Motion::new(pose);
-    let weight =
-        every as f64 / (options.noise_m * options.noise_m * options.points_per_measurement);
-    let mut sums = Sums {
-        information: Matrix3::zeros(),
-        gradient: Vector3::zeros(),
-        n_partners: 0,
-        squares_m2: 0.0,
-    };
-    let [mut xx, mut xy, mut xh, mut yy, mut yh, mut hh] = [0.0; 6];
-    let points = source.positions_m.iter().zip(&source.normals).enumerate().step_by(every);
-    for (k, (&q, normal)) in points {
-        let turned = motion.direction(q);
-        let moved = [turned[0] + pose.x_m, turned[1] + pose.y_m];
-        let Some(partner) = searches.nearest(k, moved, gate_m) else { continue };
-        let Some(n) = target.points().normals[partner] else { continue };
-        if let Some(normal) = *normal {
-            let m = motion.direction(normal);
-            if m[0] * n[0] + m[1] * n[1] < MIN_NORMAL_COS {
-                continue;
+impl Aligner<'_> {
+    fn sum_pairs(&mut self, pose: &Pose2, every: usize, gate_m: f64) -> Sums {
+        let (target, options) = (self.target, self.options);
+        let motion = Motion::new(pose);
+        let weight =
+            every as f64 / (options.noise_m * options.noise_m * options.points_per_measurement);
+        let mut sums = Sums::NONE;
+        let [mut xx, mut xy, mut xh, mut yy, mut yh, mut hh] = [0.0; 6];
+        let source = self.source.positions_m.iter().zip(&self.source.normals);
+        for (k, (&q, normal)) in source.enumerate().step_by(every) {
+            let turned = motion.direction(q);
+            let moved = [turned[0] + pose.x_m, turned[1] + pose.y_m];
+            let Some(partner) = self.searches.nearest(k, moved, gate_m) else { continue };
+            let Some(n) = target.points().normals[partner] else { continue };
+            if let Some(normal) = *normal {
+                let m = motion.direction(normal);
+                if m[0] * n[0] + m[1] * n[1] < MIN_NORMAL_COS {
+                    continue;
+                }
             }
+            let p = target.points().positions_m[partner];
+            let residual_m = (moved[0] - p[0]) * n[0] + (moved[1] - p[1]) * n[1];
+            let w = weight / (residual_m.abs() / options.huber_m).max(1.0);
+            // Derivative of the residual with respect to the heading.
+            let h = n[1] * turned[0] - n[0] * turned[1];
+            xx += w * n[0] * n[0];
+            xy += w * n[0] * n[1];
+            xh += w * n[0] * h;
+            yy += w * n[1] * n[1];
+            yh += w * n[1] * h;
+            hh += w * h * h;
+            sums.gradient += Vector3::new(n[0], n[1], h) * (w * residual_m);
+            sums.n_partners += 1;
+            sums.squares_m2 += (residual_m * residual_m).min(options.huber_m * options.huber_m);
         }
-        let p = target.points().positions_m[partner];
-        let residual_m = (moved[0] - p[0]) * n[0] + (moved[1] - p[1]) * n[1];
-        let w = weight / (residual_m.abs() / options.huber_m).max(1.0);
-        // Derivative of the residual with respect to the heading.
-        let h = n[1] * turned[0] - n[0] * turned[1];
-        xx += w * n[0] * n[0];
-        xy += w * n[0] * n[1];
-        xh += w * n[0] * h;
-        yy += w * n[1] * n[1];
-        yh += w * n[1] * h;
-        hh += w * h * h;
-        sums.gradient += Vector3::new(n[0], n[1], h) * (w * residual_m);
-        sums.n_partners += 1;
-        sums.squares_m2 += (residual_m * residual_m).min(options.huber_m * options.huber_m);
+        sums.information = Matrix3::new(xx, xy, xh, xy, yy, yh, xh, yh, hh);
+        sums
     }
-    sums.information = Matrix3::new(xx, xy, xh, xy, yy, yh, xh, yh, hh);
-    sums
 }

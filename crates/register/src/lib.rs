@@ -68,7 +68,10 @@ mod submap;
 mod target;
 mod uncertainty;
 
-pub use align::{AlignOptions, Alignment, NEAR_M, Prior, Weakness, align, near_share};
+pub use align::{
+    AlignOptions, Alignment, Explained, NEAR_M, Prior, Weakness, align, align_and_explain,
+    align_roughly, near_share,
+};
 pub use correlate::{BestPose, BlurredMap, Preference, Window, search};
 pub use drive::{
     Drive, NEW_DRIVE_M, OdometryScan, RegisterOptions, Registered, register_drive,

@@ -8,7 +8,10 @@ use nalgebra::Matrix3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use crate::align::{AlignOptions, Alignment, Prior, Weakness, align, near_share};
+use crate::align::{
+    AlignOptions, Alignment, Explained, Prior, Weakness, align_and_explain, align_roughly,
+    near_share,
+};
 use crate::correlate::{BlurredMap, Preference, Window, search};
 use crate::points::{Points, length};
 use crate::target::Target;
@@ -183,8 +186,8 @@ impl ScanMatcher {
         let prior = prior(&self.noise, expected, step_m);
         let reach_m = self.options.align.first_gate_m;
         let target = Target::new(self.target_points(&expected), reach_m);
-        let direct = align(&points, &target, &expected, &prior, &self.options.align);
-        let aligned = match self.is_certain(&direct, &expected) {
+        let direct = align_and_explain(&points, &target, &expected, &prior, &self.options.align);
+        let Explained { alignment, near_share } = match self.is_certain(&direct, &expected) {
             true => direct,
             false => {
                 let start = self.start(&points, target.points(), &expected, step_m);
@@ -194,17 +197,17 @@ impl ScanMatcher {
         };
         self.last_odometry = *odometry;
         self.path_m += step_m;
-        if contradicts(&aligned, &prior) {
+        if contradicts(&alignment, &prior) {
             return self.without_scan(&prior);
         }
-        let pose = aligned.target_from_source;
+        let pose = alignment.target_from_source;
         self.recent.push_back(MatchedKeyframe { pose, points, path_m: self.path_m });
         self.forget();
         Matched {
             pose,
-            covariance: aligned.covariance(&self.options.align),
-            near_share: aligned.near_share,
-            weakness: aligned.weakness,
+            covariance: alignment.covariance(&self.options.align),
+            near_share,
+            weakness: alignment.weakness,
             is_used: true,
         }
     }
@@ -241,8 +244,8 @@ impl ScanMatcher {
 
     /// Whether an alignment that started at the odometry needs no search for another start: it explains
     /// enough of the points and stayed close to the odometry.
-    fn is_certain(&self, aligned: &Alignment, expected: &Pose2) -> bool {
-        let moved = expected.inverse() * aligned.target_from_source;
+    fn is_certain(&self, aligned: &Explained, expected: &Pose2) -> bool {
+        let moved = expected.inverse() * aligned.alignment.target_from_source;
         self.options.enough_near_share <= aligned.near_share
             && length([moved.x_m, moved.y_m]) < CERTAIN_M
             && moved.heading_rad.abs() < CERTAIN_DEG.to_radians()
@@ -292,16 +295,16 @@ impl ScanMatcher {
 
     /// Aligns from the start, and from more starts if that explains too few points. The alignment that
     /// explains most points is the result. The odometry counts with its usual error at first, and with
-    /// its largest one from the other starts.
+    /// its largest one from the other starts. Of starts that lead to the same pose, only the first one counts.
     fn best_alignment(
         &self,
         points: &Points,
         target: &Target,
         start: &Pose2,
         [prior, loose]: &[Prior; 2],
-    ) -> Alignment {
+    ) -> Explained {
         let options = &self.options.align;
-        let mut best = align(points, target, start, prior, options);
+        let mut best = align_and_explain(points, target, start, prior, options);
         // The share at the result of the first alignment decides, so that good drives cost no more.
         if self.options.enough_near_share <= best.near_share {
             return best;
@@ -310,11 +313,14 @@ impl ScanMatcher {
         let others =
             MORE_STARTS.map(|[x_m, y_m, heading_rad]| prior.pose * Pose2 { x_m, y_m, heading_rad });
         let starts: Vec<&Pose2> = [start].into_iter().chain(&others).collect();
-        let from = |start: &&Pose2| align(points, target, start, loose, options);
-        let all: Vec<Alignment> = starts.par_iter().map(from).collect();
+        let rough = |start: &&Pose2| align_roughly(points, target, start, loose, options);
+        let ends = different(&starts.par_iter().map(rough).collect::<Vec<_>>());
+        let from = |start: &Pose2| align_and_explain(points, target, start, loose, options);
+        let all: Vec<Explained> = ends.par_iter().map(from).collect();
         for aligned in all {
             let gain = aligned.near_share - best.near_share;
-            let needed = MIN_GAIN * (1.0 + libm::log1p(prior.chi2(&aligned.target_from_source)));
+            let pose = &aligned.alignment.target_from_source;
+            let needed = MIN_GAIN * (1.0 + libm::log1p(prior.chi2(pose)));
             if needed < gain && share_before < aligned.near_share {
                 best = aligned;
             }
@@ -333,6 +339,25 @@ impl ScanMatcher {
             self.recent.pop_front();
         }
     }
+}
+
+/// Two starts lead to the same pose if the rough results are closer than this.
+const SAME_M: f64 = 0.03;
+const SAME_DEG: f64 = 0.3;
+
+/// The poses without those that are near an earlier one.
+fn different(poses: &[Pose2]) -> Vec<Pose2> {
+    let mut different: Vec<Pose2> = Vec::new();
+    for pose in poses {
+        let is_same = |other: &Pose2| {
+            pose.distance_m(other) < SAME_M
+                && pose.heading_difference_rad(other) < SAME_DEG.to_radians()
+        };
+        if !different.iter().any(is_same) {
+            different.push(*pose);
+        }
+    }
+    different
 }
 
 /// The odometry after a step as a prior.

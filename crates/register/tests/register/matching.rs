@@ -5,7 +5,7 @@ use model::{Detector, OdometryNoise};
 use nalgebra::Vector3;
 use register::{
     AlignOptions, BlurredMap, Matched, MatcherOptions, Points, Preference, Prior, ScanMatcher,
-    Target, Window, align, search,
+    Target, Window, align, align_and_explain, align_roughly, search,
 };
 
 use crate::world::{World, lap};
@@ -145,17 +145,18 @@ fn a_room_has_no_weak_direction() {
     let options = AlignOptions::default();
     let target = Target::new(points(&Pose2::default()), options.first_gate_m);
     let truth = Pose2 { x_m: 0.4, y_m: -0.2, heading_rad: 0.2 };
-    let aligned = align(
-        &points(&truth),
-        &target,
-        &Pose2::default(),
-        &Prior::none(Pose2::default()),
-        &options,
-    );
+    let (start, prior) = (Pose2::default(), Prior::none(Pose2::default()));
+    let source = points(&truth);
+    let explained = align_and_explain(&source, &target, &start, &prior, &options);
+    let aligned = explained.alignment;
     let found = aligned.target_from_source;
     assert!(found.distance_m(&truth) < 0.01 && (found.heading_rad - 0.2).abs() < 0.005);
-    assert!(aligned.near_share > 0.95 && aligned.n_partners > 300, "{aligned:?}");
+    assert!(explained.near_share > 0.95 && aligned.n_partners > 300, "{explained:?}");
     assert!(aligned.weakness.unwrap().ratio > 0.3, "{:?}", aligned.weakness);
+    assert_eq!(align(&source, &target, &start, &prior, &options), aligned);
+    let rough = align_roughly(&source, &target, &start, &prior, &options);
+    assert!(rough != found && rough.distance_m(&found) < 0.02, "{rough:?}");
+    assert!(rough.heading_difference_rad(&found) < 0.005, "{rough:?}");
 }
 
 /// The errors of 200 alignments with known noise, in a room, agree with the covariance: the mean of the
@@ -198,13 +199,15 @@ fn without_partners_the_pose_is_that_of_the_prior() {
     let target = Target::new(far, options.first_gate_m);
     let source = Points { positions_m: vec![[1.0, 0.0]; 9], normals: vec![None; 9] };
     let prior = Prior::independent(Pose2 { x_m: 1.0, y_m: 2.0, heading_rad: PI }, 0.1, 0.1, 0.1);
-    let aligned = align(&source, &target, &Pose2::default(), &prior, &options);
+    let explained = align_and_explain(&source, &target, &Pose2::default(), &prior, &options);
+    let aligned = explained.alignment;
     assert!(aligned.target_from_source.distance_m(&prior.pose) < 1e-3);
-    assert_eq!((aligned.n_partners, aligned.near_share), (0, 0.0));
+    assert_eq!((aligned.n_partners, explained.near_share), (0, 0.0));
     assert_eq!(aligned.weakness, None);
     let covariance = aligned.covariance(&options).unwrap();
     assert!((covariance[(0, 0)] - 0.01).abs() < 1e-9);
-    let empty = align(&Points::default(), &target, &Pose2::default(), &prior, &options);
+    let start = Pose2::default();
+    let empty = align_and_explain(&Points::default(), &target, &start, &prior, &options);
     assert_eq!(empty.near_share, 0.0);
 }
 
