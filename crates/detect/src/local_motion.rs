@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan};
+use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan, StampedPose};
 use model::OdometryNoise;
 use register::{
     MatcherOptions, Node, NodeMember, Points, RegisterOptions, ScanMatcher, SubmapOptions,
@@ -82,6 +82,20 @@ pub(crate) struct LocalPlace {
     pub(crate) node: Node,
     /// The pose of the node in the local frame.
     pub(crate) local_from_node: Pose2,
+}
+
+/// The poses of the lidar at scans, by matching each with those before, without odometry. They drift, and may jump
+/// where a scan does not continue those before.
+pub fn match_scans(
+    scans: &[Scan],
+    options: &RegisterOptions,
+    limits: RangeLimits,
+) -> Vec<StampedPose> {
+    // The noise of odometry is not used without it.
+    let noise =
+        OdometryNoise { std_m_per_m: 0.0, std_m: 0.0, std_rad_per_sqrt_m: 0.0, std_rad: 0.0 };
+    let mut motion = LocalMotion::new(options, limits, noise);
+    scans.iter().map(|scan| StampedPose::new(scan.stamp_ns, motion.add(scan, None))).collect()
 }
 
 impl Speed {

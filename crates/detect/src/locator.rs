@@ -3,7 +3,9 @@
 use dataset::{LocatedState, Pose2, RangeLimits, Scan};
 use model::{Detector, StrongLimits};
 use nalgebra::Matrix3;
-use register::{AlignOptions, Fit, RegisterOptions, closure_covariance, fit};
+use register::{
+    AlignOptions, Fit, Prior, RegisterOptions, align, closure_covariance, fit, points_of,
+};
 
 use crate::candidates::{Correlated, correlate, evidence_of, options, value};
 use crate::descriptor::Describer;
@@ -43,7 +45,9 @@ pub struct Position {
 ///    since one of them, if its lead is at least 20, and if no other pose has more than 0.7 of its weight. So a
 ///    place that looks like another one gives no answer. At last, the submap has to fit the nearest places of
 ///    the map.
-/// 4. Then, every 0.8 m, the submap is aligned with the nearest places of the map. The confidence of the position is
+/// 4. Then each scan is aligned with the nearest place of the map. It corrects the position, if at least half of its
+///    points have a partner there. So errors of the motion do not add up, also while the robot stands or turns.
+/// 5. Every 0.8 m, the submap is aligned with the nearest places of the map. The confidence of the position is
 ///    that of the last alignment, also if it does not fit. If none fits for 6 m of path, if the standard
 ///    deviation of the position exceeds 0.5 m, or if without odometry a scan does not continue those before,
 ///    the position is lost, and the search begins again.
@@ -55,6 +59,8 @@ pub struct Locator<'a> {
     detector: &'a Detector,
     describer: Option<Describer>,
     options: AlignOptions,
+    /// The limits of the ranges that are aligned with the map.
+    limits: RangeLimits,
     motion: LocalMotion,
     /// The pose of the last scan in the local frame.
     last: Pose2,
@@ -98,6 +104,8 @@ const MAX_MOVE_M: f64 = 1.0;
 const MAX_MOVE_DEG: f64 = 8.0;
 /// A comparison needs this many points in known space.
 const MIN_KNOWN: usize = 30;
+/// A scan corrects a position if at least this share of its points has a partner in the map.
+const MIN_PARTNER_SHARE: f64 = 0.5;
 /// A comparison confirms a position within these limits. The limits of the detector are for pairs of places
 /// that need no other evidence. Here, other positions have found the same pose.
 const CONFIRMS: StrongLimits = StrongLimits { known_overlap: 0.5, conflict: 0.3 };
@@ -134,6 +142,7 @@ impl<'a> Locator<'a> {
             detector,
             describer: n_squares.map(Describer::new),
             options: options(),
+            limits: register.limits(limits),
             motion: LocalMotion::new(register, limits, detector.odometry),
             last: Pose2::default(),
             votes: Votes::new(detector.min_confidence.max(LEAST_CONFIDENCE)),
@@ -155,6 +164,11 @@ impl<'a> Locator<'a> {
             if !self.motion.is_decided() {
                 tracked.estimate = tracked.estimate.uncertain(UNDECIDED_M, UNDECIDED_RAD);
             }
+        }
+        if let Some(now) = self.scan_in_map(scan)
+            && let Some(tracked) = &mut self.tracked
+        {
+            tracked.estimate = tracked.estimate.joined(&now);
         }
         if self.motion.is_broken() {
             self.votes.clear();
@@ -327,6 +341,26 @@ impl<'a> Locator<'a> {
         let start = pose.inverse() * *start;
         let fit = fit(&self.map.nodes[reference], &place.node, &start, &self.options);
         NearFit { reference, fit, map_from_node: pose * fit.a_from_b }
+    }
+
+    /// The pose of a scan by its alignment with the nearest place of the map. `None` if the position is not known, if
+    /// the place explains too few points, or if the pose changes too much.
+    fn scan_in_map(&self, scan: &Scan) -> Option<Estimate> {
+        let tracked = self.tracked.as_ref()?;
+        let expected = tracked.estimate.pose;
+        let reference = *self.map.nearest(tracked.map, &expected, NEAR_M, 1).first()?;
+        let map_from_place = self.map.poses[reference];
+        let points = points_of(scan, self.limits);
+        let start = map_from_place.inverse() * expected;
+        let target = self.map.nodes[reference].target();
+        let alignment = align(&points, target, &start, &Prior::none(start), &self.options);
+        let n_needed = MIN_KNOWN.max((MIN_PARTNER_SHARE * points.len() as f64) as usize);
+        let pose = map_from_place * alignment.target_from_source;
+        if alignment.n_partners < n_needed || !is_near(&pose, &expected) {
+            return None;
+        }
+        let covariance = closure_covariance(&alignment, &self.options, &self.detector.closure);
+        Some(Estimate::turned(pose, &covariance, map_from_place.heading_rad))
     }
 
     /// Compares the submap with the map near the expected pose of the last scan.

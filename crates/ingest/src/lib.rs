@@ -49,7 +49,7 @@ mod types;
 mod velodyne;
 mod wheel_options;
 
-use dataset::Scan;
+use dataset::{Scan, StampedPose};
 use rayon::prelude::*;
 
 pub use crate::mcap::bytes::FileState;
@@ -98,7 +98,31 @@ pub fn ingest<E: From<IngestError> + Send>(
     take: impl FnMut(Vec<Scan>) -> Result<(), E> + Send,
     progress: impl Fn(u64),
 ) -> Result<Ingested, E> {
-    let ingested = read(logs, options, take, progress);
+    read_unchanged(logs, options, &[], take, progress)
+}
+
+/// Reads the scans of a log as [`ingest`] does, but without its poses, and deskews them by the motion between
+/// these poses of the lidar. They are in order of time and in any frame in which they do not jump, for
+/// example from scan matching. The trajectory is empty.
+pub fn ingest_along<E: From<IngestError> + Send>(
+    logs: &[&Log],
+    options: &Options,
+    lidar_poses: &[StampedPose],
+    take: impl FnMut(Vec<Scan>) -> Result<(), E> + Send,
+    progress: impl Fn(u64),
+) -> Result<Ingested, E> {
+    let options = Options { pose: None, ..options.clone() };
+    read_unchanged(logs, &options, lidar_poses, take, progress)
+}
+
+fn read_unchanged<E: From<IngestError> + Send>(
+    logs: &[&Log],
+    options: &Options,
+    lidar_poses: &[StampedPose],
+    take: impl FnMut(Vec<Scan>) -> Result<(), E> + Send,
+    progress: impl Fn(u64),
+) -> Result<Ingested, E> {
+    let ingested = read(logs, options, lidar_poses, take, progress);
     // A change is the cause of any other error.
     logs.iter().try_for_each(|log| log.check_unchanged())?;
     ingested
@@ -107,6 +131,7 @@ pub fn ingest<E: From<IngestError> + Send>(
 fn read<E: From<IngestError> + Send>(
     logs: &[&Log],
     options: &Options,
+    lidar_poses: &[StampedPose],
     mut take: impl FnMut(Vec<Scan>) -> Result<(), E> + Send,
     progress: impl Fn(u64),
 ) -> Result<Ingested, E> {
@@ -135,6 +160,9 @@ fn read<E: From<IngestError> + Send>(
     let mut assembler = Assembler::new(options, beam, losses);
     if let Some(PoseTopics::File(_, poses)) = &pose {
         assembler.add_poses(poses.clone());
+    }
+    if !lidar_poses.is_empty() {
+        assembler.deskew_along(lidar_poses);
     }
     let mut scan_stamps = None;
     let mut take = |scans: Vec<Scan>| {

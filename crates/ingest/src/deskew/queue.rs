@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use dataset::{NoteKind, Pose2, Scan};
+use dataset::{NoteKind, Pose2, Scan, StampedPose};
 
 use crate::deskew::feed::PoseFeed;
 use crate::deskew::motion::ScanMotion;
@@ -32,9 +32,11 @@ pub(crate) struct ReadyScan {
 
 /// Holds scans until their poses have been read, and finds the motion during each scan.
 pub(crate) struct Deskewer {
-    /// `None` if scans are not deskewed.
+    /// `None` if the log has no poses, or if scans are not deskewed.
     feed: Option<PoseFeed>,
     is_enabled: bool,
+    /// Whether all poses are known from the start.
+    is_known: bool,
     recent_poses: RecentPoses,
     held: VecDeque<MeasuredScan>,
     n_deskewed: u64,
@@ -53,12 +55,26 @@ impl Deskewer {
         Self {
             feed: pose.map(|pose| PoseFeed::new(pose, base_from_lidar)),
             is_enabled,
+            is_known: false,
             recent_poses: RecentPoses::new(max_speed_m_s),
             held: VecDeque::new(),
             n_deskewed: 0,
             n_without_times: 0,
             n_without_motion: 0,
         }
+    }
+
+    /// Deskews the scans by these poses of the lidar, which are not in the log. They are in order of time.
+    pub(crate) fn deskew_along(&mut self, poses: &[StampedPose]) {
+        if self.is_enabled {
+            self.is_known = true;
+            poses.iter().for_each(|pose| self.recent_poses.push(pose.stamp_ns, pose.pose));
+        }
+    }
+
+    /// Whether scans are deskewed.
+    fn is_used(&self) -> bool {
+        self.is_known || self.feed.is_some()
     }
 
     /// Adds a scan.
@@ -85,13 +101,13 @@ impl Deskewer {
             if !is_ready && !is_end {
                 break;
             }
-            let motion = match (&self.feed, range_ns) {
-                (None, _) => None,
-                (Some(_), None) => {
+            let motion = match range_ns {
+                _ if !self.is_used() => None,
+                None => {
                     self.n_without_times += 1;
                     None
                 }
-                (Some(_), Some((start_ns, end_ns))) => {
+                Some((start_ns, end_ns)) => {
                     let motion = self.recent_poses.motion(measured.stamp_ns(), start_ns, end_ns);
                     match motion {
                         Some(_) => self.n_deskewed += 1,
@@ -107,9 +123,9 @@ impl Deskewer {
         }
     }
 
-    /// Notes about how many scans were deskewed. There are none if the options have no poses.
+    /// Notes about how many scans were deskewed. There are none without poses.
     pub(crate) fn notes(&self) -> Vec<NoteKind> {
-        if self.feed.is_none() {
+        if !self.is_used() {
             return if self.is_enabled { Vec::new() } else { vec![NoteKind::DeskewOff] };
         }
         let mut notes = Vec::new();

@@ -143,6 +143,11 @@ impl Assembler {
         self.add_motion(MotionReadings { poses, ..MotionReadings::default() });
     }
 
+    /// Deskews the scans by these poses of the lidar.
+    pub(crate) fn deskew_along(&mut self, poses: &[StampedPose]) {
+        self.deskewer.deskew_along(poses);
+    }
+
     /// Adds the motion of the next piece.
     fn add_motion(&mut self, mut next: MotionReadings) {
         self.motion.take_transforms(&mut next);

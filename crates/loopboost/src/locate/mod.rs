@@ -10,11 +10,12 @@ use clap::Args;
 use dataset::tables::{Provenance, digest_file, write_located};
 use dataset::{
     LocatedPose, LocatedScan, LocatedState, Losses, Note, NoteKind, Pose2, RangeLimits, Scan,
-    ScanId, Subject, Trajectory,
+    ScanId, StampedPose, Subject, Trajectory,
 };
-use detect::{Locator, Position};
-use ingest::{Log, Options};
+use detect::{Locator, Position, match_scans};
+use ingest::{Ingested, Log, Options};
 use model::Detector;
+use register::RegisterOptions;
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -164,7 +165,7 @@ impl LocateArgs {
         for path in &file.paths {
             inputs.insert(file_name(path), digest_file(path)?);
         }
-        let query = self.read(file, options.clone())?;
+        let query = self.read(file, options.clone(), &known.register)?;
         check_scans(file, &query.scans, known.coverage_deg)?;
         let rows = locate(file, &query, options, known, detector);
         let summary = summary(file, &rows, query.odometry.is_some());
@@ -198,35 +199,59 @@ impl LocateArgs {
         }
     }
 
-    /// Reads the scans and the odometry of a log.
-    fn read(&self, file: &LogFile, mut options: Options) -> Result<QueryLog> {
+    /// Reads the scans and the odometry of a log. Without odometry, the log is read twice: the second time, the scans
+    /// are deskewed by the motion that they showed the first time.
+    fn read(
+        &self,
+        file: &LogFile,
+        mut options: Options,
+        register: &RegisterOptions,
+    ) -> Result<QueryLog> {
         let (logs, lost) = open(file)?;
         if self.no_odometry || !has_odometry(&logs, &options) {
             options.pose = None;
         }
+        let mut scans = self.scans(file, &logs, &options, &[])?;
+        if options.pose.is_none() && options.lidar.deskew {
+            let motion = match_scans(&scans.0, register, limits(&options));
+            scans = self.scans(file, &logs, &options, &motion)?;
+        }
+        let (scans, mut ingested) = scans;
+        ingested.losses.merge(lost);
+        let odometry = options.pose.is_some().then_some(ingested.trajectory);
+        Ok(QueryLog { scans, odometry, losses: ingested.losses, notes: ingested.notes })
+    }
+
+    /// Reads the scans of a log with its odometry, or with these poses of the lidar.
+    fn scans(
+        &self,
+        file: &LogFile,
+        logs: &[Log],
+        options: &Options,
+        lidar_poses: &[StampedPose],
+    ) -> Result<(Vec<Scan>, Ingested)> {
         let n_bytes = logs.iter().map(Log::n_bytes).sum();
         let progress = progress_bar(n_bytes, format!("read {}", file.name), true);
+        let logs: Vec<&Log> = logs.iter().collect();
         let mut scans = Vec::new();
-        let ingested = ingest::ingest(
-            &logs.iter().collect::<Vec<_>>(),
-            &options,
-            |batch| {
-                scans.extend(batch);
-                anyhow::Ok(())
-            },
-            |position| progress.set_position(position),
-        );
+        let take = |batch| {
+            scans.extend(batch);
+            anyhow::Ok(())
+        };
+        let moved = |position| progress.set_position(position);
+        let ingested = match lidar_poses {
+            [] => ingest::ingest(&logs, options, take, moved),
+            poses => ingest::ingest_along(&logs, options, poses, take, moved),
+        };
         progress.finish_and_clear();
-        let mut ingested = ingested.with_context(|| {
+        let ingested = ingested.with_context(|| {
             format!(
                 "log `{}` cannot be read with the options of {}; name a pipeline for it with --pipeline",
                 file.name,
                 self.pipeline.as_ref().unwrap_or(&self.map).display()
             )
         })?;
-        ingested.losses.merge(lost);
-        let odometry = options.pose.is_some().then_some(ingested.trajectory);
-        Ok(QueryLog { scans, odometry, losses: ingested.losses, notes: ingested.notes })
+        Ok((scans, ingested))
     }
 
     fn print(&self, found: &[LocatedLog]) -> Result<()> {
@@ -302,6 +327,10 @@ fn check_scans(file: &LogFile, scans: &[Scan], coverage_deg: f32) -> Result<()> 
 /// The steps of the odometry are not used over longer gaps than this \[ns\].
 const MAX_GAP_NS: i64 = 1_000_000_000;
 
+fn limits(options: &Options) -> RangeLimits {
+    RangeLimits { min_m: options.lidar.range_min_m, max_m: options.lidar.range_max_m }
+}
+
 fn locate(
     file: &LogFile,
     query: &QueryLog,
@@ -309,9 +338,7 @@ fn locate(
     known: &Places,
     detector: &Detector,
 ) -> Vec<LocatedScan> {
-    let lidar = &options.lidar;
-    let limits = RangeLimits { min_m: lidar.range_min_m, max_m: lidar.range_max_m };
-    let mut locator = Locator::new(&known.map, detector, &known.register, limits);
+    let mut locator = Locator::new(&known.map, detector, &known.register, limits(options));
     let at = |scan: &Scan| query.odometry.as_ref()?.stamped_pose_at(scan.stamp_ns, MAX_GAP_NS).ok();
     let mut before = None;
     let progress = progress_bar(query.scans.len() as u64, format!("locate {}", file.name), false);
