@@ -45,8 +45,9 @@ pub struct Position {
 ///    since one of them, if its lead is at least 20, and if no other pose has more than 0.7 of its weight. So a
 ///    place that looks like another one gives no answer. At last, the submap has to fit the nearest places of
 ///    the map.
-/// 4. Then each scan is aligned with the nearest place of the map. It corrects the position, if at least half of its
-///    points have a partner there. So errors of the motion do not add up, also while the robot stands or turns.
+/// 4. Then, without odometry, each scan is aligned with the nearest place of the map. It corrects the position if at
+///    least 0.7 of its points have a partner there. So errors of the motion do not add up, also while the robot
+///    slows down or stands in a corridor.
 /// 5. Every 0.8 m, the submap is aligned with the nearest places of the map. The confidence of the position is
 ///    that of the last alignment, also if it does not fit. If none fits for 6 m of path, if the standard
 ///    deviation of the position exceeds 0.5 m, or if without odometry a scan does not continue those before,
@@ -104,8 +105,9 @@ const MAX_MOVE_M: f64 = 1.0;
 const MAX_MOVE_DEG: f64 = 8.0;
 /// A comparison needs this many points in known space.
 const MIN_KNOWN: usize = 30;
-/// A scan corrects a position if at least this share of its points has a partner in the map.
-const MIN_PARTNER_SHARE: f64 = 0.5;
+/// A scan corrects a position if at least this share of its points has a partner in the map. On two drives of a
+/// campus, 0.5 led to errors of 0.106 m in one scan of 100, 0.7 to 0.072 m.
+const MIN_PARTNER_SHARE: f64 = 0.7;
 /// A comparison confirms a position within these limits. The limits of the detector are for pairs of places
 /// that need no other evidence. Here, other positions have found the same pose.
 const CONFIRMS: StrongLimits = StrongLimits { known_overlap: 0.5, conflict: 0.3 };
@@ -154,8 +156,10 @@ impl<'a> Locator<'a> {
     }
 
     /// Adds the next scan. `step` is the motion of the lidar since the scan before by odometry: the pose of
-    /// the lidar now in its frame then. Without it, the scans alone are matched.
+    /// the lidar now in its frame then. Without it, the scans alone are matched. Scans should be deskewed, if need be
+    /// with the motion of [`match_scans`](crate::match_scans).
     pub fn add(&mut self, scan: &Scan, step: Option<Pose2>) -> LocatedState {
+        let has_odometry = step.is_some();
         let pose = self.motion.add(scan, step);
         let step = self.last.inverse() * pose;
         self.last = pose;
@@ -165,7 +169,8 @@ impl<'a> Locator<'a> {
                 tracked.estimate = tracked.estimate.uncertain(UNDECIDED_M, UNDECIDED_RAD);
             }
         }
-        if let Some(now) = self.scan_in_map(scan)
+        if !has_odometry
+            && let Some(now) = self.scan_in_map(scan)
             && let Some(tracked) = &mut self.tracked
         {
             tracked.estimate = tracked.estimate.joined(&now);

@@ -6,10 +6,14 @@ mod common;
 
 use std::error::Error;
 use std::f64::consts::{PI, TAU};
+use std::path::Path;
 
 use common::{Entry, codes, ingest_bytes, options, pose, small_chunks, write};
-use dataset::{Pose2, Scan};
-use ingest::{Frames, Ingested, Options, Origin, PlanarPose, PoseOptions, WheelSpeedUnit};
+use dataset::{Pose2, Scan, StampedPose};
+use ingest::{
+    Frames, IngestError, Ingested, Log, Options, Origin, PlanarPose, PoseOptions, WheelSpeedUnit,
+    ingest_along,
+};
 use messages::hdl32e::{BLOCK_PERIOD_NS, BLOCKS, LASER_PERIOD_NS, PACKET_PERIOD_NS, PacketBuilder};
 use messages::{Encoding, Imu, JointState, LaserScan, NavSatFix, StampedPose3, Transform, ros};
 
@@ -175,6 +179,46 @@ fn deskewing_reduces_the_residual_of_a_flat_wall_to_the_range_noise() {
         let mean_m = mean_wall_m(deskewed, &lidar);
         assert!((mean_m - WALL_M).abs() < 0.005, "{mean_m} m");
     }
+}
+
+/// The poses of the lidar come from elsewhere. Those of the log are not read, and the log need not have any.
+#[test]
+fn scans_are_deskewed_along_given_poses() {
+    let options = moving(PoseOptions::of_topic("/pose"), true);
+    let (expected, _) = ingest(&interleaved(wall_packets(), robot_poses(50)), &options);
+    let (raw, _) = ingest(&wall_packets(), &Options { pose: None, ..options.clone() });
+    let lidar_poses: Vec<StampedPose> =
+        (0..=24).map(|k| StampedPose::new(k * 50 * MS, robot_at(k * 50 * MS) * mount())).collect();
+    let log = Log::from_bytes(Path::new("drive.mcap"), write(&wall_packets(), small_chunks()));
+    let log = log.unwrap();
+    let deskewed = |deskew: bool, poses: &[StampedPose]| {
+        let mut options = options.clone();
+        options.lidar.deskew = deskew;
+        let mut scans = Vec::new();
+        let take = |batch| {
+            scans.extend(batch);
+            Ok::<_, IngestError>(())
+        };
+        let ingested = ingest_along(&[&log], &options, poses, take, |_| ()).unwrap();
+        assert!(ingested.trajectory.poses().is_empty());
+        (scans, ingested)
+    };
+    let (scans, ingested) = deskewed(true, &lidar_poses);
+    assert!(has_note(&ingested, "10 scans deskewed"), "{:?}", ingested.notes);
+    assert_eq!((scans.len(), raw.len()), (10, 10));
+    for (scan, expected) in scans.iter().zip(&expected) {
+        let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
+        assert!(scan.len() == expected.len() && near(&scan.x_m, &expected.x_m));
+        assert!(near(&scan.y_m, &expected.y_m));
+    }
+    assert!(raw.iter().zip(&expected).all(|(raw, expected)| raw != expected));
+    // Switched off, without poses, and with poses of the first half.
+    assert_eq!(deskewed(false, &lidar_poses).0, raw);
+    assert_eq!(deskewed(true, &[]).0, raw);
+    let (scans, ingested) = deskewed(true, &lidar_poses[..12]);
+    assert!((scans[0] != raw[0], &scans[9]) == (true, &raw[9]));
+    let note = "not deskewed: the motion is not known at least every 0.25 s";
+    assert!(ingested.notes.iter().any(|n| n.to_string().contains(note)), "{:?}", ingested.notes);
 }
 
 /// Mean y of the points of a scan in the map \[m\].
