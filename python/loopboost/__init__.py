@@ -2,7 +2,7 @@
 
 `inspect` describes a log and suggests a pipeline file. `run` makes scans, keyframes, features, labels, models and a report.
 `detect` finds loop closures in new logs with a model. Both return a `Run`, whose tables go into polars, pyarrow or DuckDB.
-`featurize` and `Model` work on arrays, without files.
+`read_scans` and `read_poses` read logs into memory. `featurize` and `Model` work on arrays, without files.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from loopboost._errors import ArgumentError, CommandError, InputError, LoopboostError
-from loopboost._loopboost import Table, __version__, feature_names
+from loopboost._logs import read_poses, read_scans
+from loopboost._loopboost import Rows, Table, __version__, feature_names
 from loopboost._model import Model, featurize
 from loopboost._run import Run
 
@@ -25,6 +26,7 @@ __all__ = [
     "InputError",
     "LoopboostError",
     "Model",
+    "Rows",
     "Run",
     "Survey",
     "Table",
@@ -33,6 +35,8 @@ __all__ = [
     "feature_names",
     "featurize",
     "inspect",
+    "read_poses",
+    "read_scans",
     "run",
 ]
 

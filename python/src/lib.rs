@@ -5,6 +5,7 @@
 
 mod features;
 mod model;
+mod scans;
 mod table;
 
 use std::ffi::OsString;
@@ -15,9 +16,12 @@ use pyo3::prelude::*;
 fn _loopboost(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<model::Model>()?;
+    module.add_class::<scans::Rows>()?;
     module.add_class::<table::Table>()?;
     module.add_function(wrap_pyfunction!(features::feature_names, module)?)?;
     module.add_function(wrap_pyfunction!(features::featurize, module)?)?;
+    module.add_function(wrap_pyfunction!(scans::read_scans, module)?)?;
+    module.add_function(wrap_pyfunction!(scans::read_poses, module)?)?;
     module.add_function(wrap_pyfunction!(main, module)?)
 }
 

@@ -98,6 +98,48 @@ def tables_open_everywhere(run):
         raise AssertionError("a damaged table was read")
 
 
+def logs_are_read_as_by_the_program(run):
+    log, topic, poses = run.folder / "logs/monday.mcap", "/velodyne_packets", "/ground_truth"
+    reported = []
+    scans = loopboost.read_scans(log, topic, poses, progress=lambda *n_bytes: reported.append(n_bytes))
+    assert reported[-1] == (log.stat().st_size,) * 2 and reported == sorted(reported), reported
+    arrow = pyarrow.table(scans)
+    assert arrow.equals(pyarrow.table(run.scans("monday"))) and arrow.num_rows == len(scans) and 1000 < len(scans)
+    assert polars.DataFrame(scans).columns == scans.column_names and "Rows" in repr(scans)
+    assert any(line.startswith("info[deskewed]: ") for line in scans.messages), scans.messages
+    found = loopboost.read_poses([log], topic, {"topic": np.str_(poses)})
+    assert pyarrow.table(found).equals(pyarrow.table(run.table("poses", "monday"))), found
+    raw = loopboost.read_scans(str(log), topic, range_max_m=np.float32(5))
+    near = polars.DataFrame(raw).select(polars.col("x_m").explode().pow(2) + polars.col("y_m").explode().pow(2)).max().item()
+    assert 24 < near <= 25.001 and not any("[deskewed]" in line for line in raw.messages), raw.messages
+
+    raises(loopboost.InputError, "/scan", loopboost.read_scans, log, "/scan")
+    raises(loopboost.InputError, "missing.mcap", loopboost.read_scans, FOLDER / "missing.mcap", topic)
+    raises(loopboost.InputError, "/odom", loopboost.read_poses, log, topic, "/odom")
+    raises(loopboost.ArgumentError, "range_max_m", loopboost.read_scans, log, topic, range_max=5)
+    raises(loopboost.ArgumentError, "range_max_m", loopboost.read_scans, log, topic, range_max_m=-1)
+    raises(loopboost.ArgumentError, "loopboost.Run", loopboost.read_scans, log, topic, {"run": run.folder})
+    raises(loopboost.ArgumentError, "no files", loopboost.read_scans, [], topic)
+    raises(loopboost.ArgumentError, "options", loopboost.read_scans, log, topic, ring=object())
+
+    def fail(*_):
+        raise KeyError("progress")
+
+    try:
+        loopboost.read_scans(log, topic, progress=fail)
+    except KeyError:
+        pass
+    else:
+        raise AssertionError("an exception in `progress` was lost")
+    # In processes that Python forked.
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        assert pool.starmap(n_scans, [(log, topic)] * 2) == [len(scans)] * 2
+
+
+def n_scans(log, topic):
+    return len(loopboost.read_scans(log, topic))
+
+
 def features_equal_the_table(run):
     scans = polars.DataFrame(run.scans("monday"))
     features = polars.DataFrame(run.table("features", "monday"))
@@ -247,8 +289,8 @@ def main():
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     FOLDER.mkdir(parents=True, exist_ok=True)
     run = quickstart()
-    tests = (tables_open_everywhere, features_equal_the_table, models_score_as_the_program, commands_report_errors)
-    for test in (*tests, the_program_is_part_of_the_package):
+    tests = (tables_open_everywhere, logs_are_read_as_by_the_program, features_equal_the_table, models_score_as_the_program)
+    for test in (*tests, commands_report_errors, the_program_is_part_of_the_package):
         test(run)
         print(f"{test.__name__}: ok")
     a_run_can_be_stopped()

@@ -156,8 +156,8 @@ impl<'a> Locator<'a> {
     }
 
     /// Adds the next scan. `step` is the motion of the lidar since the scan before by odometry: the pose of
-    /// the lidar now in its frame then. Without it, the scans alone are matched. Scans should be deskewed, if need be
-    /// with the motion of [`match_scans`](crate::match_scans).
+    /// the lidar now in its frame then. Without it, the scans alone are matched. Scans should be deskewed, without
+    /// odometry by the motion of [`match_scans`](crate::match_scans).
     pub fn add(&mut self, scan: &Scan, step: Option<Pose2>) -> LocatedState {
         let has_odometry = step.is_some();
         let pose = self.motion.add(scan, step);

@@ -61,8 +61,8 @@ pub use registered::{
 pub use scan_pairs::{PairScore, SCAN_PAIR_COLUMNS, read_scan_pairs, write_pair_scores};
 pub use scores::{read_rounds, read_scores, write_rounds, write_scores};
 pub use types::{
-    FeatureTable, batch, floats, read_features, read_keyframes, read_pairs, read_poses, strings,
-    write_features, write_keyframes, write_pairs, write_poses,
+    FeatureTable, batch, floats, pose_batch, read_features, read_keyframes, read_pairs, read_poses,
+    strings, write_features, write_keyframes, write_pairs, write_poses,
 };
 pub use usefulness::{
     feature_usefulness_batch, read_feature_stability, read_feature_usefulness,

@@ -249,6 +249,12 @@ fn columns(log: &str, first_scan: u32, scans: &[Scan]) -> Vec<ArrayRef> {
     ]
 }
 
+/// Some scans of a log as rows of the table, without a file. `first_scan` is the number of the first one.
+pub fn scan_batch(log: &str, first_scan: u32, scans: &[Scan]) -> RecordBatch {
+    RecordBatch::try_new(schema(), columns(log, first_scan, scans))
+        .expect("the columns are those of the schema")
+}
+
 /// Reads the headers of all scans, in order.
 pub fn read_scan_headers(path: &Path) -> Result<(Vec<ScanHeader>, Provenance)> {
     let (builder, provenance) = open_table(path, "scans")?;

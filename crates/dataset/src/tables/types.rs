@@ -60,6 +60,13 @@ pub fn write_poses(
     log: &str,
     trajectory: &Trajectory,
 ) -> Result<()> {
+    let frame_id: Vec<(&str, &str)> =
+        trajectory.frame_id().into_iter().map(|name| (FRAME_ID, name)).collect();
+    write_table_with(path, "poses", provenance, &pose_batch(log, trajectory), &frame_id)
+}
+
+/// The poses of a log as rows of that table, without a file.
+pub fn pose_batch(log: &str, trajectory: &Trajectory) -> RecordBatch {
     let poses = trajectory.poses();
     let mut columns: Vec<(&str, ArrayRef)> = vec![
         ("log", strings(poses.iter().map(|_| log))),
@@ -70,9 +77,7 @@ pub fn write_poses(
     ];
     columns.extend(covariance_columns(poses.iter().map(|p| p.covariance)));
     columns.extend(segment_columns(poses.iter().map(|p| (p.z_m, p.segment, p.frame))));
-    let frame_id: Vec<(&str, &str)> =
-        trajectory.frame_id().into_iter().map(|name| (FRAME_ID, name)).collect();
-    write_table_with(path, "poses", provenance, &batch(columns, &NULLABLE), &frame_id)
+    batch(columns, &NULLABLE)
 }
 
 /// Reads `poses/<log>.parquet`.

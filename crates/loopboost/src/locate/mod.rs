@@ -346,7 +346,7 @@ fn locate(
         let now = at(scan);
         let step: Option<Pose2> = before
             .zip(now)
-            .filter(|(a, b): &(dataset::StampedPose, dataset::StampedPose)| a.segment == b.segment)
+            .filter(|(a, b): &(StampedPose, StampedPose)| a.segment == b.segment)
             .map(|(a, b)| a.pose.inverse() * b.pose);
         before = now;
         let state = locator.add(scan, step);
