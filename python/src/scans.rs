@@ -128,9 +128,8 @@ impl Drive {
             }
         }
         let name = files.first().and_then(|file| file.file_stem()).unwrap_or_default();
-        let logs: Result<Vec<Log>, IngestError> =
-            files.iter().map(|file| Log::open(file)).collect();
-        let logs = logs.map_err(|failed| input_error(py, failed))?;
+        let open = |file: &PathBuf| Log::open(file).map_err(|failed| input_error(py, failed));
+        let logs = files.iter().map(open).collect::<PyResult<Vec<Log>>>()?;
         Ok(Self { name: name.to_string_lossy().into_owned(), logs, options })
     }
 
@@ -165,13 +164,13 @@ struct Shared {
 
 /// Why nothing was read.
 enum Failed {
-    Ingest(IngestError),
+    Ingest(Box<IngestError>),
     Stopped,
 }
 
 impl From<IngestError> for Failed {
     fn from(error: IngestError) -> Self {
-        Self::Ingest(error)
+        Self::Ingest(Box::new(error))
     }
 }
 
@@ -225,7 +224,7 @@ fn while_waiting(
     match (exception, done) {
         (Some(exception), _) => Err(exception),
         (None, Err(no_threads)) => Err(error(py, Class::Input, no_threads)),
-        (None, Ok(Err(Failed::Ingest(failed)))) => Err(input_error(py, failed)),
+        (None, Ok(Err(Failed::Ingest(failed)))) => Err(input_error(py, *failed)),
         (None, Ok(Err(Failed::Stopped))) => unreachable!("it is stopped by an exception"),
         (None, Ok(Ok(ingested))) => {
             if let Some(progress) = progress {
