@@ -23,11 +23,12 @@ def read_scans(
 ) -> Rows:
     """The planar scans of a log: one row per scan, with the columns of `Run.scans`.
 
-    log: an MCAP file, or all files of a split drive, in order. topic: the topic of the lidar.
+    log: an MCAP file, or all files of a split drive, with the one that gives the drive its name first. A file that cannot be
+    read is an error. topic: the topic of the lidar.
     poses: the topic of the poses, or a dict with options of `[ingest.pose]`, such as
     `{"wheels": "/wheel_states", "imu": "/imu/data", "track_m": 0.5}`. Only `deskew` needs them: it moves each return to where it
     would be seen from at the time of the scan. Without poses, scans stay as they are.
-    progress: called with the bytes that were read, and those of all files. An exception in it ends the reading.
+    progress: called with about how many bytes were read, and those of all files. An exception in it ends the reading.
     lidar: other options of `[ingest.lidar]`, such as `ring=16` or `range_max_m=30.0`.
 
     `Rows.messages` has the losses and notes, with their codes. docs/tables.md in the repository explains the columns:

@@ -65,7 +65,7 @@ impl Rows {
     }
 }
 
-/// The scans of a drive. `files` are its files in the order of time, and there is at least one. `options` are JSON.
+/// The scans of a drive. `files` are its files, at least one, and the first one gives the drive its name. `options` are JSON.
 /// `progress` is called with the bytes that were read, and those of all files.
 #[pyfunction]
 pub(crate) fn read_scans(
@@ -81,10 +81,7 @@ pub(crate) fn read_scans(
         let take = |scans: Vec<dataset::Scan>| {
             batches.push(scan_batch(&drive.name, n_scans, &scans));
             n_scans += scans.len() as u32;
-            match shared.is_stopped.load(Ordering::Relaxed) {
-                true => Err(Failed::Stopped),
-                false => Ok(()),
-            }
+            shared.proceed()
         };
         let logs: Vec<&Log> = drive.logs.iter().collect();
         let set = |n_bytes| shared.n_bytes.store(n_bytes, Ordering::Relaxed);
@@ -98,9 +95,9 @@ pub(crate) fn read_scans(
 #[pyfunction]
 pub(crate) fn read_poses(py: Python<'_>, files: Vec<PathBuf>, options: &str) -> PyResult<Rows> {
     let drive = Drive::open(py, &files, options)?;
-    let ingested = while_waiting(py, drive.n_bytes(), None, |_| {
+    let ingested = while_waiting(py, drive.n_bytes(), None, |shared| {
         let logs: Vec<&Log> = drive.logs.iter().collect();
-        Ok(ingest::read_poses(&logs, &drive.options)?)
+        ingest::read_poses(&logs, &drive.options, || shared.proceed())
     })?;
     let batch = pose_batch(&drive.name, &ingested.trajectory);
     let messages = drive.messages(ingested.losses, ingested.notes);
@@ -117,7 +114,7 @@ struct Drive {
 impl Drive {
     fn open(py: Python<'_>, files: &[PathBuf], options: &str) -> PyResult<Self> {
         let wrong = |message: String| error(py, Class::Argument, message);
-        let options: Options =
+        let mut options: Options =
             serde_json::from_str(options).map_err(|failed| wrong(failed.to_string()))?;
         options.lidar.check().map_err(|failed| wrong(failed.to_string()))?;
         if let Some(pose) = &options.pose {
@@ -128,9 +125,13 @@ impl Drive {
             }
         }
         let name = files.first().and_then(|file| file.file_stem()).unwrap_or_default();
+        let name = name.to_string_lossy().into_owned();
+        if let Some(pose) = &mut options.pose {
+            pose.file = pose.file_of(&name);
+        }
         let open = |file: &PathBuf| Log::open(file).map_err(|failed| input_error(py, failed));
         let logs = files.iter().map(open).collect::<PyResult<Vec<Log>>>()?;
-        Ok(Self { name: name.to_string_lossy().into_owned(), logs, options })
+        Ok(Self { name, logs, options })
     }
 
     fn n_bytes(&self) -> u64 {
@@ -160,6 +161,15 @@ impl Drive {
 struct Shared {
     n_bytes: AtomicU64,
     is_stopped: AtomicBool,
+}
+
+impl Shared {
+    fn proceed(&self) -> Result<(), Failed> {
+        match self.is_stopped.load(Ordering::Relaxed) {
+            true => Err(Failed::Stopped),
+            false => Ok(()),
+        }
+    }
 }
 
 /// Why nothing was read.
@@ -212,7 +222,8 @@ fn while_waiting(
                         None => Ok(()),
                     }
                 });
-                reported = read;
+                // In a log that was written topic by topic, the poses are read first, and the scans then from the start.
+                reported = reported.max(read);
                 if let Err(raised) = called {
                     exception = Some(raised);
                     shared.is_stopped.store(true, Ordering::Relaxed);

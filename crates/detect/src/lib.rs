@@ -38,7 +38,7 @@ mod votes;
 
 pub use candidates::{Candidate, Classify, find_candidates, find_candidates_between};
 pub use descriptor::{DESCRIPTOR_LEN, Describer};
-pub use local_motion::match_scans;
+pub use local_motion::{ScanStep, ScanSteps};
 pub use locator::{Locator, Position};
 pub use locator_map::{LocatorMap, MapDrive};
 pub use places::{Places, PlacesOfDrive};

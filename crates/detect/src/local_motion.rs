@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan, StampedPose};
+use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan};
 use model::OdometryNoise;
 use register::{
     MatcherOptions, Node, NodeMember, Points, RegisterOptions, ScanMatcher, SubmapOptions,
@@ -84,18 +84,40 @@ pub(crate) struct LocalPlace {
     pub(crate) local_from_node: Pose2,
 }
 
-/// The poses of the lidar at scans, by matching each with those before, without odometry. They drift, and may jump
-/// where a scan does not continue those before.
-pub fn match_scans(
-    scans: &[Scan],
-    options: &RegisterOptions,
-    limits: RangeLimits,
-) -> Vec<StampedPose> {
-    // The noise of odometry is not used without it.
-    let noise =
-        OdometryNoise { std_m_per_m: 0.0, std_m: 0.0, std_rad_per_sqrt_m: 0.0, std_rad: 0.0 };
-    let mut motion = LocalMotion::new(options, limits, noise);
-    scans.iter().map(|scan| StampedPose::new(scan.stamp_ns, motion.add(scan, None))).collect()
+/// The steps of the lidar from scan to scan, by matching each with those before, without odometry.
+pub struct ScanSteps {
+    motion: LocalMotion,
+    /// The pose and the stamp of the scan before.
+    before: Option<(Pose2, i64)>,
+}
+
+/// A step of the lidar from one scan to the next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScanStep {
+    /// The pose of the lidar at the next scan, in its frame at the first one.
+    pub step: Pose2,
+    /// The time between the two. It can be negative, if the clock stepped back \[ns\].
+    pub time_ns: i64,
+}
+
+impl ScanSteps {
+    /// `limits` are the range limits of the lidar.
+    pub fn new(options: &RegisterOptions, limits: RangeLimits) -> Self {
+        // The noise of odometry is not used without it.
+        let noise =
+            OdometryNoise { std_m_per_m: 0.0, std_m: 0.0, std_rad_per_sqrt_m: 0.0, std_rad: 0.0 };
+        Self { motion: LocalMotion::new(options, limits, noise), before: None }
+    }
+
+    /// Adds the next scan. Returns the step to it from the scan before, `None` if it is the first one, or if it does
+    /// not continue those before.
+    pub fn add(&mut self, scan: &Scan) -> Option<ScanStep> {
+        let pose = self.motion.add(scan, None);
+        let (before, before_ns) = self.before.replace((pose, scan.stamp_ns))?;
+        let time_ns = scan.stamp_ns.saturating_sub(before_ns);
+        let step = ScanStep { step: before.inverse() * pose, time_ns };
+        (!self.motion.is_broken()).then_some(step)
+    }
 }
 
 impl Speed {
@@ -363,6 +385,20 @@ mod tests {
         }
         assert_eq!(motion.window.len(), 1);
         assert!(motion.last.distance_m(&Pose2::default()) < 1e-3);
+    }
+
+    /// Two scans of a room, one of another room, and one more of that room after the clock stepped back.
+    #[test]
+    fn there_is_no_step_to_a_scan_that_continues_nothing() {
+        let limits = RangeLimits { min_m: 0.1, max_m: 25.0 };
+        let mut steps = ScanSteps::new(&RegisterOptions::default(), limits);
+        let scans = [(3.0, 0), (3.0, 100), (9.0, 200), (9.0, 50)];
+        let times = scans.map(|(radius_m, stamp_ns)| {
+            let step = steps.add(&Scan { stamp_ns, ..room(radius_m) })?;
+            assert!(step.step.distance_m(&Pose2::default()) < 1e-3, "{step:?}");
+            Some(step.time_ns)
+        });
+        assert_eq!(times, [None, Some(100), None, Some(-150)]);
     }
 
     /// The lidar sees another room from one scan to the next.

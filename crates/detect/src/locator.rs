@@ -46,8 +46,8 @@ pub struct Position {
 ///    place that looks like another one gives no answer. At last, the submap has to fit the nearest places of
 ///    the map.
 /// 4. Then, without odometry, each scan is aligned with the nearest place of the map. It corrects the position if at
-///    least 0.7 of its points have a partner there. So errors of the motion do not add up, also while the robot
-///    slows down or stands in a corridor.
+///    least 0.7 of its points have a partner there. So errors of the motion do not add up, where
+///    the scan determines the position better than the motion does.
 /// 5. Every 0.8 m, the submap is aligned with the nearest places of the map. The confidence of the position is
 ///    that of the last alignment, also if it does not fit. If none fits for 6 m of path, if the standard
 ///    deviation of the position exceeds 0.5 m, or if without odometry a scan does not continue those before,
@@ -157,7 +157,7 @@ impl<'a> Locator<'a> {
 
     /// Adds the next scan. `step` is the motion of the lidar since the scan before by odometry: the pose of
     /// the lidar now in its frame then. Without it, the scans alone are matched. Scans should be deskewed, without
-    /// odometry by the motion of [`match_scans`](crate::match_scans).
+    /// odometry by the motion of [`ScanSteps`](crate::ScanSteps).
     pub fn add(&mut self, scan: &Scan, step: Option<Pose2>) -> LocatedState {
         let has_odometry = step.is_some();
         let pose = self.motion.add(scan, step);

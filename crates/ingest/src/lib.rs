@@ -49,12 +49,13 @@ mod types;
 mod velodyne;
 mod wheel_options;
 
-use dataset::{Scan, StampedPose};
+use dataset::Scan;
 use rayon::prelude::*;
 
 pub use crate::mcap::bytes::FileState;
 pub use crate::mcap::definitions::Channel;
 pub use crate::mcap::log::{Contents, Log};
+pub use deskew::motion::LidarSpeed;
 pub use drive::split::{DriveFiles, MetadataError, group_files};
 pub use error::{IngestError, NoScansReason};
 pub use messages::MessageType;
@@ -98,31 +99,31 @@ pub fn ingest<E: From<IngestError> + Send>(
     take: impl FnMut(Vec<Scan>) -> Result<(), E> + Send,
     progress: impl Fn(u64),
 ) -> Result<Ingested, E> {
-    read_unchanged(logs, options, &[], take, progress)
+    read_unchanged(logs, options, None, take, progress)
 }
 
-/// Reads the scans of a log as [`ingest`] does, but without its poses, and deskews them by the motion between
-/// these poses of the lidar. They are in order of time and in any frame in which they do not jump, for
-/// example from scan matching. The trajectory is empty.
-pub fn ingest_along<E: From<IngestError> + Send>(
+/// Reads the scans of a log as [`ingest`] does, but without its poses, and deskews them by these speeds of the lidar, for
+/// example from scan matching. There is one speed for each scan that `ingest` passes on with the same options, in
+/// the same order. A scan without one is not deskewed. The trajectory is empty.
+pub fn ingest_with_speeds<E: From<IngestError> + Send>(
     logs: &[&Log],
     options: &Options,
-    lidar_poses: &[StampedPose],
+    speeds: &[Option<LidarSpeed>],
     take: impl FnMut(Vec<Scan>) -> Result<(), E> + Send,
     progress: impl Fn(u64),
 ) -> Result<Ingested, E> {
     let options = Options { pose: None, ..options.clone() };
-    read_unchanged(logs, &options, lidar_poses, take, progress)
+    read_unchanged(logs, &options, Some(speeds), take, progress)
 }
 
 fn read_unchanged<E: From<IngestError> + Send>(
     logs: &[&Log],
     options: &Options,
-    lidar_poses: &[StampedPose],
+    speeds: Option<&[Option<LidarSpeed>]>,
     take: impl FnMut(Vec<Scan>) -> Result<(), E> + Send,
     progress: impl Fn(u64),
 ) -> Result<Ingested, E> {
-    let ingested = read(logs, options, lidar_poses, take, progress);
+    let ingested = read(logs, options, speeds, take, progress);
     // A change is the cause of any other error.
     logs.iter().try_for_each(|log| log.check_unchanged())?;
     ingested
@@ -131,7 +132,7 @@ fn read_unchanged<E: From<IngestError> + Send>(
 fn read<E: From<IngestError> + Send>(
     logs: &[&Log],
     options: &Options,
-    lidar_poses: &[StampedPose],
+    speeds: Option<&[Option<LidarSpeed>]>,
     mut take: impl FnMut(Vec<Scan>) -> Result<(), E> + Send,
     progress: impl Fn(u64),
 ) -> Result<Ingested, E> {
@@ -161,8 +162,8 @@ fn read<E: From<IngestError> + Send>(
     if let Some(PoseTopics::File(_, poses)) = &pose {
         assembler.add_poses(poses.clone());
     }
-    if !lidar_poses.is_empty() {
-        assembler.deskew_along(lidar_poses);
+    if let Some(speeds) = speeds {
+        assembler.deskew_by(speeds);
     }
     let mut scan_stamps = None;
     let mut take = |scans: Vec<Scan>| {

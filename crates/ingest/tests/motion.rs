@@ -9,10 +9,10 @@ use std::f64::consts::{PI, TAU};
 use std::path::Path;
 
 use common::{Entry, codes, ingest_bytes, options, pose, small_chunks, write};
-use dataset::{Pose2, Scan, StampedPose};
+use dataset::{Pose2, Scan};
 use ingest::{
-    Frames, IngestError, Ingested, Log, Options, Origin, PlanarPose, PoseOptions, WheelSpeedUnit,
-    ingest_along,
+    Frames, IngestError, Ingested, LidarSpeed, Log, Options, Origin, PlanarPose, PoseOptions,
+    WheelSpeedUnit, ingest_with_speeds,
 };
 use messages::hdl32e::{BLOCK_PERIOD_NS, BLOCKS, LASER_PERIOD_NS, PACKET_PERIOD_NS, PacketBuilder};
 use messages::{Encoding, Imu, JointState, LaserScan, NavSatFix, StampedPose3, Transform, ros};
@@ -181,17 +181,15 @@ fn deskewing_reduces_the_residual_of_a_flat_wall_to_the_range_noise() {
     }
 }
 
-/// The poses of the lidar come from elsewhere. Those of the log are not read, and the log need not have any.
+/// The speeds of the lidar come from elsewhere. The poses of the log are not read, and it need not have any.
 #[test]
-fn scans_are_deskewed_along_given_poses() {
+fn scans_are_deskewed_by_given_speeds() {
     let options = moving(PoseOptions::of_topic("/pose"), true);
     let (expected, _) = ingest(&interleaved(wall_packets(), robot_poses(50)), &options);
     let (raw, _) = ingest(&wall_packets(), &Options { pose: None, ..options.clone() });
-    let lidar_poses: Vec<StampedPose> =
-        (0..=24).map(|k| StampedPose::new(k * 50 * MS, robot_at(k * 50 * MS) * mount())).collect();
     let log = Log::from_bytes(Path::new("drive.mcap"), write(&wall_packets(), small_chunks()));
     let log = log.unwrap();
-    let deskewed = |deskew: bool, poses: &[StampedPose]| {
+    let deskewed = |deskew: bool, speeds: &[Option<LidarSpeed>]| {
         let mut options = options.clone();
         options.lidar.deskew = deskew;
         let mut scans = Vec::new();
@@ -199,26 +197,36 @@ fn scans_are_deskewed_along_given_poses() {
             scans.extend(batch);
             Ok::<_, IngestError>(())
         };
-        let ingested = ingest_along(&[&log], &options, poses, take, |_| ()).unwrap();
+        let ingested = ingest_with_speeds(&[&log], &options, speeds, take, |_| ()).unwrap();
         assert!(ingested.trajectory.poses().is_empty());
         (scans, ingested)
     };
-    let (scans, ingested) = deskewed(true, &lidar_poses);
+    // The robot turns by 1 rad/s, so that the lidar moves at a right angle to its place on the robot.
+    let (sin, cos) = mount().heading_rad.sin_cos();
+    let speed = LidarSpeed {
+        x_m_s: cos * -MOUNT.y_m + sin * MOUNT.x_m,
+        y_m_s: -sin * -MOUNT.y_m + cos * MOUNT.x_m,
+        heading_rad_s: 1.0,
+    };
+    let (scans, ingested) = deskewed(true, &[Some(speed); 10]);
     assert!(has_note(&ingested, "10 scans deskewed"), "{:?}", ingested.notes);
     assert_eq!((scans.len(), raw.len()), (10, 10));
     for (scan, expected) in scans.iter().zip(&expected) {
-        let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
+        // In 0.1 s, the direction of the speed turns by 0.1 rad: 0.1 s 1.1 m/s 0.1 / 2 = 6 mm.
+        let near = |a: &[f32], b: &[f32]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 0.007);
         assert!(scan.len() == expected.len() && near(&scan.x_m, &expected.x_m));
         assert!(near(&scan.y_m, &expected.y_m));
     }
-    assert!(raw.iter().zip(&expected).all(|(raw, expected)| raw != expected));
-    // Switched off, without poses, and with poses of the first half.
-    assert_eq!(deskewed(false, &lidar_poses).0, raw);
+    let far = |k: usize| raw[k].x_m.iter().zip(&expected[k].x_m).any(|(a, b)| 0.1 < (a - b).abs());
+    assert!((0..10).all(far));
+    // Switched off, without speeds, and with one for the third scan only.
+    assert_eq!(deskewed(false, &[Some(speed); 10]).0, raw);
     assert_eq!(deskewed(true, &[]).0, raw);
-    let (scans, ingested) = deskewed(true, &lidar_poses[..12]);
-    assert!((scans[0] != raw[0], &scans[9]) == (true, &raw[9]));
-    let note = "not deskewed: the motion is not known at least every 0.25 s";
-    assert!(ingested.notes.iter().any(|n| n.to_string().contains(note)), "{:?}", ingested.notes);
+    let (some, ingested) = deskewed(true, &[None, None, Some(speed)]);
+    assert!((0..10).all(|k| (some[k] == raw[k], some[k] == scans[k]) == (k != 2, k == 2)));
+    assert!(has_note(&ingested, "1 scan deskewed"), "{:?}", ingested.notes);
+    let note = "9 scans not deskewed: the motion is not known at least every 0.25 s";
+    assert!(has_note(&ingested, note), "{:?}", ingested.notes);
 }
 
 /// Mean y of the points of a scan in the map \[m\].

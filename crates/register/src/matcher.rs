@@ -385,3 +385,29 @@ const MORE_STARTS: [[f64; 3]; 11] = [
     [0.0, 0.0, 0.35],
     [0.0, 0.0, -0.35],
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::PI;
+
+    #[test]
+    fn only_poses_near_an_earlier_one_are_left_out() {
+        let pose = |x_m: f64, heading_deg: f64| Pose2 {
+            x_m,
+            y_m: 0.0,
+            heading_rad: heading_deg.to_radians(),
+        };
+        let first = pose(1.0, 179.9);
+        for (other, n) in [
+            (pose(1.029, 179.9), 1),
+            (pose(1.031, 179.9), 2),
+            (pose(1.0, 179.9 + 0.29), 1),
+            (pose(1.0, 179.9 - 0.31), 2),
+            // On the other side of 180 deg.
+            (Pose2 { heading_rad: -PI + 0.1f64.to_radians(), ..first }, 1),
+        ] {
+            assert_eq!(different(&[first, other, first]).len(), n, "{other:?}");
+        }
+    }
+}

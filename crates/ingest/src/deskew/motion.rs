@@ -7,6 +7,17 @@
 
 use dataset::{StampedPose, wrap_angle};
 
+/// The speed of a lidar during a scan, in its frame at the stamp of the scan.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct LidarSpeed {
+    /// Along x \[m/s\].
+    pub x_m_s: f64,
+    /// Along y \[m/s\].
+    pub y_m_s: f64,
+    /// Change of the heading \[rad/s\].
+    pub heading_rad_s: f64,
+}
+
 /// The motion of the lidar during a scan, at constant speed between the known poses.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ScanMotion {
@@ -62,6 +73,12 @@ impl ScanMotion {
             *rate = [x, y, rate[2]];
         }
         Self { segments }
+    }
+
+    /// The motion at a constant speed.
+    pub(crate) fn constant(speed: &LidarSpeed) -> Self {
+        let rate = [speed.x_m_s, speed.y_m_s, speed.heading_rad_s].map(|per_s| 1e-9 * per_s);
+        Self { segments: vec![Segment { from_ns: 0, start: [0.0; 3], rate }] }
     }
 
     /// The pose of the lidar at a time relative to the stamp of the scan, in the lidar frame at the

@@ -2,10 +2,10 @@
 
 use std::collections::VecDeque;
 
-use dataset::{NoteKind, Pose2, Scan, StampedPose};
+use dataset::{NoteKind, Pose2, Scan};
 
 use crate::deskew::feed::PoseFeed;
-use crate::deskew::motion::ScanMotion;
+use crate::deskew::motion::{LidarSpeed, ScanMotion};
 use crate::deskew::recent_poses::RecentPoses;
 use crate::deskew::timed_scan::TimedScan;
 use crate::options::Options;
@@ -35,8 +35,8 @@ pub(crate) struct Deskewer {
     /// `None` if the log has no poses, or if scans are not deskewed.
     feed: Option<PoseFeed>,
     is_enabled: bool,
-    /// Whether all poses are known from the start.
-    is_known: bool,
+    /// The speeds of the lidar during the next scans, if they are known from elsewhere.
+    speeds: Option<VecDeque<Option<LidarSpeed>>>,
     recent_poses: RecentPoses,
     held: VecDeque<MeasuredScan>,
     n_deskewed: u64,
@@ -55,7 +55,7 @@ impl Deskewer {
         Self {
             feed: pose.map(|pose| PoseFeed::new(pose, base_from_lidar)),
             is_enabled,
-            is_known: false,
+            speeds: None,
             recent_poses: RecentPoses::new(max_speed_m_s),
             held: VecDeque::new(),
             n_deskewed: 0,
@@ -64,17 +64,14 @@ impl Deskewer {
         }
     }
 
-    /// Deskews the scans by these poses of the lidar, which are not in the log. They are in order of time.
-    pub(crate) fn deskew_along(&mut self, poses: &[StampedPose]) {
-        if self.is_enabled {
-            self.is_known = true;
-            poses.iter().for_each(|pose| self.recent_poses.push(pose.stamp_ns, pose.pose));
-        }
+    /// Deskews the scans by these speeds of the lidar, one for each scan. Those without one are not deskewed.
+    pub(crate) fn deskew_by(&mut self, speeds: &[Option<LidarSpeed>]) {
+        self.speeds = self.is_enabled.then(|| speeds.iter().copied().collect());
     }
 
     /// Whether scans are deskewed.
     fn is_used(&self) -> bool {
-        self.is_known || self.feed.is_some()
+        self.speeds.is_some() || self.feed.is_some()
     }
 
     /// Adds a scan.
@@ -101,6 +98,7 @@ impl Deskewer {
             if !is_ready && !is_end {
                 break;
             }
+            let speed = self.speeds.as_mut().map(|speeds| speeds.pop_front().flatten());
             let motion = match range_ns {
                 _ if !self.is_used() => None,
                 None => {
@@ -108,7 +106,10 @@ impl Deskewer {
                     None
                 }
                 Some((start_ns, end_ns)) => {
-                    let motion = self.recent_poses.motion(measured.stamp_ns(), start_ns, end_ns);
+                    let motion = match &speed {
+                        Some(speed) => speed.as_ref().map(ScanMotion::constant),
+                        None => self.recent_poses.motion(measured.stamp_ns(), start_ns, end_ns),
+                    };
                     match motion {
                         Some(_) => self.n_deskewed += 1,
                         None => self.n_without_motion += 1,
@@ -123,7 +124,7 @@ impl Deskewer {
         }
     }
 
-    /// Notes about how many scans were deskewed. There are none without poses.
+    /// Notes about how many scans were deskewed. There are none without poses and speeds.
     pub(crate) fn notes(&self) -> Vec<NoteKind> {
         if !self.is_used() {
             return if self.is_enabled { Vec::new() } else { vec![NoteKind::DeskewOff] };

@@ -20,14 +20,23 @@ use crate::types::LIDAR_TYPES;
 /// Reads the poses of a drive and none of its scans: poses besides those that [`ingest`](crate::ingest)
 /// reads, such as ground truth. Like those, they are the poses of the lidar.
 ///
-/// Losses and notes are those of the pose topics only. Without `options.pose`, the trajectory is empty.
-pub fn read_poses(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
-    let read = read(logs, options);
+/// Losses and notes are those of the pose topics only. Without `options.pose`, the trajectory is empty. `proceed` is called
+/// many times while the log is read. An error of it ends the reading.
+pub fn read_poses<E: From<IngestError>>(
+    logs: &[&Log],
+    options: &Options,
+    proceed: impl FnMut() -> Result<(), E>,
+) -> Result<Ingested, E> {
+    let read = read(logs, options, proceed);
     logs.iter().try_for_each(|log| log.check_unchanged())?;
     read
 }
 
-fn read(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
+fn read<E: From<IngestError>>(
+    logs: &[&Log],
+    options: &Options,
+    mut proceed: impl FnMut() -> Result<(), E>,
+) -> Result<Ingested, E> {
     let Some(pose) = &options.pose else { return Ok(Ingested::default()) };
     let drive = Drive::new(logs);
     let topics = PoseTopics::find(&drive, pose)?;
@@ -39,7 +48,10 @@ fn read(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
     if let PoseTopics::File(_, poses) = &topics {
         motion.poses = poses.clone();
     }
-    let losses = read_motion(&reader, &mut motion, |motion| motion.prune_transforms(pose));
+    let losses = read_motion(&reader, &mut motion, |motion| {
+        motion.prune_transforms(pose);
+        proceed()
+    })?;
     let mut losses = of_topics(&losses, &pose_topics);
     let mut notes: Vec<_> = pose_topics.iter().flat_map(|topic| topic.notes.clone()).collect();
     let is_own_frame = pose.is_own_frame() || (motion.has_fixes() && pose.origin.is_none());
@@ -55,12 +67,13 @@ fn read(logs: &[&Log], options: &Options) -> Result<Ingested, IngestError> {
     Ok(Ingested { trajectory, is_own_frame, losses, notes, ..Ingested::default() })
 }
 
-/// Adds all messages of the pose topics of a reader. `prune` removes what is not needed, after each piece of a file.
-pub(crate) fn read_motion(
+/// Adds all messages of the pose topics of a reader. After each piece of a file, `prune` removes what is not needed. An
+/// error of it ends the reading.
+pub(crate) fn read_motion<E>(
     reader: &Reader<'_>,
     motion: &mut MotionReadings,
-    prune: impl Fn(&mut MotionReadings),
-) -> Losses {
+    mut prune: impl FnMut(&mut MotionReadings) -> Result<(), E>,
+) -> Result<Losses, E> {
     let mut losses = Losses::default();
     let pieces = reader.drive.pieces_with(reader.pose_topics);
     for window in pieces.chunks(PIECES_PER_THREAD * rayon::current_num_threads()) {
@@ -71,11 +84,11 @@ pub(crate) fn read_motion(
         for mut piece in decoded {
             motion.take_transforms(&mut piece.motion);
             motion.extend(piece.motion);
-            prune(motion);
+            prune(motion)?;
             losses.merge(piece.losses);
         }
     }
-    losses
+    Ok(losses)
 }
 
 /// The losses of messages on these topics.

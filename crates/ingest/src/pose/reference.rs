@@ -136,7 +136,8 @@ fn read(
         if let (Some(lidar), Some(point)) = (&lidar_frame, motion.frame_names.first()) {
             motion.transforms.prune(lidar, &point);
         }
-    });
+        Ok::<_, IngestError>(())
+    })?;
     let mut losses = of_topics(&losses, &[&topic]);
     losses.merge(topic.losses.clone());
     let base_from_lidar = lidar_options.mount.map_or(Pose2::default(), |mount| mount.pose());

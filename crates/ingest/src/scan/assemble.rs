@@ -6,6 +6,7 @@ use dataset::{LossKind, Losses, Note, NoteKind, Pose2, Scan, StampedPose, Subjec
 use messages::hdl32e::LASERS;
 use rayon::prelude::*;
 
+use crate::deskew::motion::LidarSpeed;
 use crate::deskew::queue::{Deskewer, MeasuredScan, ReadyScan};
 use crate::deskew::timed_scan::TimedScan;
 use crate::drive::topic::Topic;
@@ -143,9 +144,9 @@ impl Assembler {
         self.add_motion(MotionReadings { poses, ..MotionReadings::default() });
     }
 
-    /// Deskews the scans by these poses of the lidar.
-    pub(crate) fn deskew_along(&mut self, poses: &[StampedPose]) {
-        self.deskewer.deskew_along(poses);
+    /// Deskews the scans by these speeds of the lidar, one for each.
+    pub(crate) fn deskew_by(&mut self, speeds: &[Option<LidarSpeed>]) {
+        self.deskewer.deskew_by(speeds);
     }
 
     /// Adds the motion of the next piece.

@@ -1,6 +1,7 @@
 //! `locate`: where the scans of logs lie in the map of a finished run.
 
 mod places;
+mod speeds;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -10,10 +11,10 @@ use clap::Args;
 use dataset::tables::{Provenance, digest_file, write_located};
 use dataset::{
     LocatedPose, LocatedScan, LocatedState, Losses, Note, NoteKind, Pose2, RangeLimits, Scan,
-    ScanId, StampedPose, Subject, Trajectory,
+    ScanId, Subject, Trajectory,
 };
-use detect::{Locator, Position, match_scans};
-use ingest::{Ingested, Log, Options};
+use detect::{Locator, Position, ScanSteps};
+use ingest::{Ingested, LidarSpeed, Log, Options};
 use model::Detector;
 use register::RegisterOptions;
 use serde::Serialize;
@@ -28,6 +29,7 @@ use crate::stages::ingest::open;
 use crate::trial::topics;
 use crate::used_model::UsedModel;
 use places::Places;
+use speeds::speeds;
 
 #[derive(Args)]
 pub(crate) struct LocateArgs {
@@ -90,6 +92,14 @@ struct QueryLog {
     odometry: Option<Trajectory>,
     losses: Losses,
     notes: Vec<Note>,
+}
+
+/// The files of a log, and how they are read.
+#[derive(Clone, Copy)]
+struct OpenLog<'a> {
+    file: &'a LogFile,
+    logs: &'a [Log],
+    options: &'a Options,
 }
 
 /// What came of a log.
@@ -211,47 +221,51 @@ impl LocateArgs {
         if self.no_odometry || !has_odometry(&logs, &options) {
             options.pose = None;
         }
-        let mut scans = self.scans(file, &logs, &options, &[])?;
-        if options.pose.is_none() && options.lidar.deskew {
-            let motion = match_scans(&scans.0, register, limits(&options));
-            scans = self.scans(file, &logs, &options, &motion)?;
-        }
-        let (scans, mut ingested) = scans;
+        let log = OpenLog { file, logs: &logs, options: &options };
+        let speeds = match options.pose.is_none() && options.lidar.deskew {
+            true => {
+                let mut matched = ScanSteps::new(register, limits(&options));
+                let mut steps = Vec::new();
+                self.pass(&log, None, |scans| steps.extend(scans.iter().map(|s| matched.add(s))))?;
+                Some(speeds(&steps))
+            }
+            false => None,
+        };
+        let mut scans = Vec::new();
+        let mut ingested = self.pass(&log, speeds.as_deref(), |batch| scans.extend(batch))?;
         ingested.losses.merge(lost);
         let odometry = options.pose.is_some().then_some(ingested.trajectory);
         Ok(QueryLog { scans, odometry, losses: ingested.losses, notes: ingested.notes })
     }
 
-    /// Reads the scans of a log with its odometry, or with these poses of the lidar.
-    fn scans(
+    /// Reads a log once. `speeds` are those of the lidar during the scans, if they are known.
+    fn pass(
         &self,
-        file: &LogFile,
-        logs: &[Log],
-        options: &Options,
-        lidar_poses: &[StampedPose],
-    ) -> Result<(Vec<Scan>, Ingested)> {
+        log: &OpenLog<'_>,
+        speeds: Option<&[Option<LidarSpeed>]>,
+        mut take: impl FnMut(Vec<Scan>) + Send,
+    ) -> Result<Ingested> {
+        let OpenLog { file, logs, options } = *log;
         let n_bytes = logs.iter().map(Log::n_bytes).sum();
         let progress = progress_bar(n_bytes, format!("read {}", file.name), true);
         let logs: Vec<&Log> = logs.iter().collect();
-        let mut scans = Vec::new();
         let take = |batch| {
-            scans.extend(batch);
+            take(batch);
             anyhow::Ok(())
         };
         let moved = |position| progress.set_position(position);
-        let ingested = match lidar_poses {
-            [] => ingest::ingest(&logs, options, take, moved),
-            poses => ingest::ingest_along(&logs, options, poses, take, moved),
+        let ingested = match speeds {
+            None => ingest::ingest(&logs, options, take, moved),
+            Some(speeds) => ingest::ingest_with_speeds(&logs, options, speeds, take, moved),
         };
         progress.finish_and_clear();
-        let ingested = ingested.with_context(|| {
+        ingested.with_context(|| {
             format!(
                 "log `{}` cannot be read with the options of {}; name a pipeline for it with --pipeline",
                 file.name,
                 self.pipeline.as_ref().unwrap_or(&self.map).display()
             )
-        })?;
-        Ok((scans, ingested))
+        })
     }
 
     fn print(&self, found: &[LocatedLog]) -> Result<()> {
@@ -346,7 +360,7 @@ fn locate(
         let now = at(scan);
         let step: Option<Pose2> = before
             .zip(now)
-            .filter(|(a, b): &(StampedPose, StampedPose)| a.segment == b.segment)
+            .filter(|(a, b): &(dataset::StampedPose, dataset::StampedPose)| a.segment == b.segment)
             .map(|(a, b)| a.pose.inverse() * b.pose);
         before = now;
         let state = locator.add(scan, step);
