@@ -23,8 +23,8 @@ def read_scans(
 ) -> Rows:
     """The planar scans of a log: one row per scan, with the columns of `Run.scans`.
 
-    log: an MCAP file, or all files of a split drive, with the one that gives the drive its name first. A file that cannot be
-    read is an error. topic: the topic of the lidar.
+    log: an MCAP file, or all files of a split drive. The first one gives the drive its name. A file that cannot be read is an
+    error. topic: the topic of the lidar.
     poses: the topic of the poses, or a dict with options of `[ingest.pose]`, such as
     `{"wheels": "/wheel_states", "imu": "/imu/data", "track_m": 0.5}`. Only `deskew` needs them: it moves each return to where it
     would be seen from at the time of the scan. Without poses, scans stay as they are.

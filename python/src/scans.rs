@@ -5,16 +5,16 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
-use arrow_array::ffi_stream::FFI_ArrowArrayStream;
 use arrow_array::{RecordBatch, RecordBatchIterator};
 use arrow_schema::SchemaRef;
 use dataset::tables::pose_batch;
 use dataset::tables::scans::scan_batch;
-use dataset::{LossKind, Losses, Note};
+use dataset::{Losses, Note};
 use ingest::{IngestError, Ingested, Log, Options};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 
+use crate::table::{column_names, stream};
 use crate::{Class, error};
 
 /// Rows in memory.
@@ -41,7 +41,7 @@ impl Rows {
 
     #[getter]
     fn column_names(&self) -> Vec<&str> {
-        self.schema.fields.iter().map(|field| field.name().as_str()).collect()
+        column_names(&self.schema)
     }
 
     #[getter]
@@ -59,14 +59,12 @@ impl Rows {
         // A request is a wish. A producer can give the columns as they are.
         drop(requested_schema);
         let batches = self.batches.clone().into_iter().map(Ok);
-        let rows = RecordBatchIterator::new(batches, self.schema.clone());
-        let stream = FFI_ArrowArrayStream::new(Box::new(rows));
-        PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
+        stream(py, RecordBatchIterator::new(batches, self.schema.clone()))
     }
 }
 
-/// The scans of a drive. `files` are its files, at least one, and the first one gives the drive its name. `options` are JSON.
-/// `progress` is called with the bytes that were read, and those of all files.
+/// The scans of a drive. `files` are its files, at least one. The first one gives the drive its name. `options` are JSON.
+/// `progress` is called with about how many bytes were read, and those of all files.
 #[pyfunction]
 pub(crate) fn read_scans(
     py: Python<'_>,
@@ -140,16 +138,12 @@ impl Drive {
 
     /// A line for each loss and note, as the program prints them.
     fn messages(&self, losses: Losses, notes: Vec<Note>) -> Vec<String> {
-        let losses = losses.in_log(&self.name).sentences();
-        let of_loss = |(kind, sentence): (LossKind, String)| {
-            (kind.severity(), format!("{}[{}]: {sentence}", kind.severity(), kind.code()))
-        };
         let of_note = |mut note: Note| {
             note.subject.log = Some(self.name.clone());
-            (note.severity(), format!("{}[{}]: {note}", note.severity(), note.code()))
+            (note.severity(), note.line())
         };
-        let notes = notes.into_iter().map(of_note);
-        let mut lines: Vec<_> = losses.into_iter().map(of_loss).chain(notes).collect();
+        let mut lines = losses.in_log(&self.name).lines();
+        lines.extend(notes.into_iter().map(of_note));
         // Stable: losses before notes, in their order.
         lines.sort_by_key(|(severity, _)| std::cmp::Reverse(*severity));
         lines.into_iter().map(|(_, line)| line).collect()

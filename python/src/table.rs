@@ -64,7 +64,7 @@ impl Table {
 
     #[getter]
     fn column_names(&self) -> Vec<&str> {
-        self.schema.fields.iter().map(|field| field.name().as_str()).collect()
+        column_names(&self.schema)
     }
 
     #[getter]
@@ -91,24 +91,33 @@ impl Table {
     ) -> PyResult<Bound<'py, PyCapsule>> {
         // A request is a wish. A producer can give the columns as they are.
         drop(requested_schema);
-        let rows = Rows {
-            schema: self.schema.clone(),
-            files: self.files.clone().into_iter(),
-            current: None,
-        };
-        let stream = FFI_ArrowArrayStream::new(Box::new(rows));
-        PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
+        let files = self.files.clone().into_iter();
+        stream(py, RowsOfFiles { schema: self.schema.clone(), files, current: None })
     }
 }
 
+/// The names of the columns, in order.
+pub(crate) fn column_names(schema: &Schema) -> Vec<&str> {
+    schema.fields.iter().map(|field| field.name().as_str()).collect()
+}
+
+/// Rows as a stream of the Arrow C interface.
+pub(crate) fn stream(
+    py: Python<'_>,
+    rows: impl RecordBatchReader + Send + 'static,
+) -> PyResult<Bound<'_, PyCapsule>> {
+    let stream = FFI_ArrowArrayStream::new(Box::new(rows));
+    PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
+}
+
 /// The rows of files, one file after the other.
-struct Rows {
+struct RowsOfFiles {
     schema: SchemaRef,
     files: std::vec::IntoIter<PathBuf>,
     current: Option<(PathBuf, ParquetRecordBatchReader)>,
 }
 
-impl Rows {
+impl RowsOfFiles {
     fn next_batch(&mut self) -> Result<Option<RecordBatch>, String> {
         loop {
             if let Some((file, reader)) = &mut self.current {
@@ -128,7 +137,7 @@ impl Rows {
     }
 }
 
-impl Iterator for Rows {
+impl Iterator for RowsOfFiles {
     type Item = Result<RecordBatch, ArrowError>;
 
     fn next(&mut self) -> Option<Self::Item> {
@@ -136,7 +145,7 @@ impl Iterator for Rows {
     }
 }
 
-impl RecordBatchReader for Rows {
+impl RecordBatchReader for RowsOfFiles {
     fn schema(&self) -> SchemaRef {
         self.schema.clone()
     }

@@ -5,8 +5,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::Subject;
 use crate::loss_kind::LossKind;
+use crate::{Severity, Subject};
 
 /// One kind of loss of one subject.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -111,6 +111,15 @@ impl Losses {
     /// The sum of all counts.
     pub fn total(&self) -> u64 {
         self.0.values().sum()
+    }
+
+    /// The sentences as lines of output, with severity and code.
+    pub fn lines(&self) -> Vec<(Severity, String)> {
+        let line = |(kind, sentence): (LossKind, String)| {
+            let (severity, code) = (kind.severity(), kind.code());
+            (severity, format!("{severity}[{code}]: {sentence}"))
+        };
+        self.sentences().into_iter().map(line).collect()
     }
 
     /// The sentences, with their kinds. A loss of several logs gives one sentence, which names the

@@ -35,6 +35,11 @@ impl Note {
     pub fn severity(&self) -> Severity {
         self.kind.severity()
     }
+
+    /// The note as a line of output, with severity and code.
+    pub fn line(&self) -> String {
+        format!("{}[{}]: {self}", self.severity(), self.code())
+    }
 }
 
 impl NoteKind {

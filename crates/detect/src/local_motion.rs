@@ -69,6 +69,8 @@ pub(crate) struct LocalMotion {
     speed: Option<Speed>,
     /// The time of the scans since the last one that was matched, without odometry \[s\].
     unmatched_secs: f64,
+    /// The near points of the last scan, if there was no odometry and it was matched.
+    points: Option<Points>,
     window: VecDeque<Kept>,
     path_m: f64,
     /// Whether the last scan determined its position.
@@ -151,6 +153,7 @@ impl LocalMotion {
             stamp_ns: None,
             speed: None,
             unmatched_secs: 0.0,
+            points: None,
             window: VecDeque::new(),
             path_m: 0.0,
             is_decided: true,
@@ -167,6 +170,7 @@ impl LocalMotion {
             _ => USUAL_SECS,
         };
         (self.is_decided, self.is_broken) = (true, false);
+        self.points = None;
         let Some(step) = step else { return self.add_without_odometry(scan, secs) };
         self.odometry = self.odometry * step;
         let (spacing_m, turn_rad) = self.spacing(scan);
@@ -240,8 +244,9 @@ impl LocalMotion {
                 || turn_rad <= kept.pose.heading_difference_rad(&self.last)
         });
         if is_due {
-            self.keep(scan, near_points, self.last);
+            self.keep(scan, near_points.clone(), self.last);
         }
+        self.points = Some(near_points);
         self.last
     }
 
@@ -267,6 +272,11 @@ impl LocalMotion {
             false => (options.full_circle_spacing_m, options.full_circle_turn_deg),
         };
         (spacing_m, turn_deg.to_radians())
+    }
+
+    /// The near points of the last scan. `None` if there was odometry, or if the scan has too few points.
+    pub(crate) fn points_without_odometry(&self) -> Option<&Points> {
+        self.points.as_ref()
     }
 
     /// Whether the last scan determined its position. The odometry determines it, too.

@@ -3,9 +3,7 @@
 use dataset::{LocatedState, Pose2, RangeLimits, Scan};
 use model::{Detector, StrongLimits};
 use nalgebra::Matrix3;
-use register::{
-    AlignOptions, Fit, Prior, RegisterOptions, align, closure_covariance, fit, points_of,
-};
+use register::{AlignOptions, Fit, Prior, RegisterOptions, align, closure_covariance, fit};
 
 use crate::candidates::{Correlated, correlate, evidence_of, options, value};
 use crate::descriptor::Describer;
@@ -60,8 +58,6 @@ pub struct Locator<'a> {
     detector: &'a Detector,
     describer: Option<Describer>,
     options: AlignOptions,
-    /// The limits of the ranges that are aligned with the map.
-    limits: RangeLimits,
     motion: LocalMotion,
     /// The pose of the last scan in the local frame.
     last: Pose2,
@@ -144,7 +140,6 @@ impl<'a> Locator<'a> {
             detector,
             describer: n_squares.map(Describer::new),
             options: options(),
-            limits: register.limits(limits),
             motion: LocalMotion::new(register, limits, detector.odometry),
             last: Pose2::default(),
             votes: Votes::new(detector.min_confidence.max(LEAST_CONFIDENCE)),
@@ -159,7 +154,6 @@ impl<'a> Locator<'a> {
     /// the lidar now in its frame then. Without it, the scans alone are matched. Scans should be deskewed, without
     /// odometry by the motion of [`ScanSteps`](crate::ScanSteps).
     pub fn add(&mut self, scan: &Scan, step: Option<Pose2>) -> LocatedState {
-        let has_odometry = step.is_some();
         let pose = self.motion.add(scan, step);
         let step = self.last.inverse() * pose;
         self.last = pose;
@@ -169,8 +163,7 @@ impl<'a> Locator<'a> {
                 tracked.estimate = tracked.estimate.uncertain(UNDECIDED_M, UNDECIDED_RAD);
             }
         }
-        if !has_odometry
-            && let Some(now) = self.scan_in_map(scan)
+        if let Some(now) = self.scan_in_map()
             && let Some(tracked) = &mut self.tracked
         {
             tracked.estimate = tracked.estimate.joined(&now);
@@ -348,17 +341,17 @@ impl<'a> Locator<'a> {
         NearFit { reference, fit, map_from_node: pose * fit.a_from_b }
     }
 
-    /// The pose of a scan by its alignment with the nearest place of the map. `None` if the position is not known, if
-    /// the place explains too few points, or if the pose changes too much.
-    fn scan_in_map(&self, scan: &Scan) -> Option<Estimate> {
+    /// The pose of the last scan by its alignment with the nearest place of the map. `None` if there was odometry, if the
+    /// position is not known, if the place explains too few points, or if the pose changes too much.
+    fn scan_in_map(&self) -> Option<Estimate> {
         let tracked = self.tracked.as_ref()?;
+        let points = self.motion.points_without_odometry()?;
         let expected = tracked.estimate.pose;
         let reference = *self.map.nearest(tracked.map, &expected, NEAR_M, 1).first()?;
         let map_from_place = self.map.poses[reference];
-        let points = points_of(scan, self.limits);
         let start = map_from_place.inverse() * expected;
         let target = self.map.nodes[reference].target();
-        let alignment = align(&points, target, &start, &Prior::none(start), &self.options);
+        let alignment = align(points, target, &start, &Prior::none(start), &self.options);
         let n_needed = MIN_KNOWN.max((MIN_PARTNER_SHARE * points.len() as f64) as usize);
         let pose = map_from_place * alignment.target_from_source;
         if alignment.n_partners < n_needed || !is_near(&pose, &expected) {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use dataset::{LossKind, Losses, Note, Severity};
+use dataset::{Losses, Note, Severity};
 
 /// Losses and notes of a command.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -46,7 +46,7 @@ impl Findings {
 
     /// The lines of at least this severity.
     pub(crate) fn lines_from(&self, least: Severity) -> Vec<String> {
-        let mut lines: Vec<(Severity, String)> = self.loss_lines();
+        let mut lines = self.losses.lines();
         lines.extend(self.note_lines());
         lines.retain(|(severity, _)| least <= *severity);
         // Stable: losses before notes, in their order.
@@ -62,23 +62,14 @@ impl Findings {
         severities.filter(|of| *of == severity).count()
     }
 
-    fn loss_lines(&self) -> Vec<(Severity, String)> {
-        let line = |(kind, sentence): (LossKind, String)| {
-            let (severity, code) = (kind.severity(), kind.code());
-            (severity, format!("{severity}[{code}]: {sentence}"))
-        };
-        self.losses.sentences().into_iter().map(line).collect()
-    }
-
     fn note_lines(&self) -> Vec<(Severity, String)> {
         let mut n_by_code: BTreeMap<&str, usize> = BTreeMap::new();
         let mut lines = Vec::new();
         for note in &self.notes {
-            let (severity, code) = (note.severity(), note.code());
-            let n = n_by_code.entry(code).or_default();
+            let n = n_by_code.entry(note.code()).or_default();
             *n += 1;
             if *n <= MAX_LINES_PER_CODE {
-                lines.push((severity, format!("{severity}[{code}]: {note}")));
+                lines.push((note.severity(), note.line()));
             }
         }
         for (code, n) in n_by_code {
@@ -115,7 +106,7 @@ impl From<Losses> for Findings {
 
 #[cfg(test)]
 mod tests {
-    use dataset::{Loss, NoteKind, Subject};
+    use dataset::{Loss, LossKind, NoteKind, Subject};
 
     use super::*;
 

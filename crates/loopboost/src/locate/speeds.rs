@@ -1,13 +1,12 @@
 //! The speed of a lidar during each scan, from the steps between scans.
 
 use detect::ScanStep;
-use ingest::LidarSpeed;
+use ingest::{LidarSpeed, PoseOptions};
 
 /// Over a longer time between two scans, the speed is not taken as constant \[ns\].
 const LONGEST_NS: i64 = 250_000_000;
-/// A robot does not move faster than this \[m/s\], the default of `ingest.pose.max_speed_m_s`, and does not turn faster
-/// than this \[rad/s\]. Otherwise, the stamps or the matching are wrong.
-const MAX_M_S: f64 = 15.0;
+/// A robot does not turn faster than this \[rad/s\], and does not move faster than the default of
+/// `ingest.pose.max_speed_m_s`. Otherwise, the stamps or the matching are wrong.
 const MAX_RAD_S: f64 = 6.0;
 
 /// The speed during each scan: that of the step to the next scan, or else of the step before. `steps` has for each scan
@@ -29,8 +28,9 @@ fn speed(ScanStep { step, time_ns }: &ScanStep) -> Option<LidarSpeed> {
         y_m_s: step.y_m * per_s,
         heading_rad_s: step.heading_rad * per_s,
     };
+    let max_m_s = PoseOptions::default().max_speed_m_s;
     let is_possible =
-        libm::hypot(speed.x_m_s, speed.y_m_s) <= MAX_M_S && speed.heading_rad_s.abs() <= MAX_RAD_S;
+        libm::hypot(speed.x_m_s, speed.y_m_s) <= max_m_s && speed.heading_rad_s.abs() <= MAX_RAD_S;
     is_possible.then_some(speed)
 }
 
