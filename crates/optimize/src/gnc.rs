@@ -2,7 +2,7 @@
 
 use dataset::Pose2;
 
-use crate::graph::{Edge, Solver, optimize};
+use crate::graph::{AT_OPTIMUM, Edge, Ends, Solver, cost};
 
 /// A closure whose squared error is above this value is rejected: the 99 % quantile of the chi-square
 /// distribution with 3 degrees of freedom.
@@ -25,8 +25,12 @@ pub struct Robust {
 /// keep, with graduated non-convexity on the truncated least squares cost (Yang, Antonante, Tzoumas and
 /// Carlone 2020, "Graduated non-convexity for robust spatial perception", algorithm 1 and table II).
 ///
-/// In the end, the graph is optimized again from `start` with the kept closures, because the last poses
-/// of a graduation that rejects everything can be bad.
+/// Each round takes a few steps towards the optimum only, because the next one starts from there, with better
+/// weights. Far from the optimum, it has the same control parameter.
+///
+/// In the end, the graph with the kept closures is optimized from `start` as well as from the last poses, and the better
+/// result counts: the last poses of a graduation that rejects everything can be bad, and `start` is far away after a
+/// long drive.
 pub fn reject_false_closures(odometry: &[Edge], closures: &[Edge], start: &[Pose2]) -> Robust {
     let shares = vec![1.0; closures.len()];
     let max_chi2 = vec![MAX_CHI2; closures.len()];
@@ -65,12 +69,14 @@ pub(crate) fn reject_outliers(
             for (k, weight) in kept.iter_mut().enumerate() {
                 *weight = truncated_weight(chi2[k], control, max_chi2[k]);
             }
-            graph.optimize(&weights(&kept), &mut poses);
+            let is_settled = graph.optimize(&weights(&kept), &mut poses) < SETTLED;
             chi2 = chi2_of(&poses);
-            if kept.iter().all(|&w| w == 0.0 || w == 1.0) {
+            if is_settled && kept.iter().all(|&w| w == 0.0 || w == 1.0) {
                 break;
             }
-            control *= GROWTH;
+            if is_settled {
+                control *= GROWTH;
+            }
         }
     }
     let is_kept: Vec<bool> = kept.iter().map(|&weight| weight > 0.5).collect();
@@ -78,7 +84,19 @@ pub(crate) fn reject_outliers(
     let weighted =
         weighted.map(|((edge, share), _)| Edge { information: edge.information * *share, ..*edge });
     let edges: Vec<Edge> = trusted.iter().copied().chain(weighted).collect();
-    Robust { poses: optimize(&edges, start), is_kept }
+    Robust { poses: better_optimum(edges, [start, &poses]), is_kept }
+}
+
+/// The poses that agree best with all edges, from several starts.
+fn better_optimum(edges: Vec<Edge>, starts: [&[Pose2]; 2]) -> Vec<Pose2> {
+    let weights = vec![1.0; edges.len()];
+    let mut solver = Solver::new(starts[0].len(), edges);
+    let [(first_cost, first), (second_cost, second)] = starts.map(|start| {
+        let mut poses = start.to_vec();
+        solver.optimize(&weights, &mut poses, AT_OPTIMUM);
+        (cost(solver.edges(), &weights, &poses), poses)
+    });
+    if first_cost <= second_cost { first } else { second }
 }
 
 /// The graph of the trusted edges, and of the doubtful ones that have a weight.
@@ -92,8 +110,10 @@ struct Graduated<'a> {
 
 /// Edges without weight make each step slower. They are taken out when they are this share of all.
 const MAX_IDLE_SHARE: f64 = 0.1;
-/// A step that reduces the cost by a smaller share is the last one of a round.
-const CONVERGED: f64 = 1e-4;
+/// The end of a round.
+const OF_ROUND: Ends = Ends { max_steps: 3, converged: 1e-4 };
+/// The next round has another control parameter if the last step took away a smaller share of the cost than this.
+const SETTLED: f64 = 0.1;
 
 impl<'a> Graduated<'a> {
     fn new(trusted: &'a [Edge], doubtful: &'a [Edge], n_poses: usize) -> Self {
@@ -102,8 +122,9 @@ impl<'a> Graduated<'a> {
         Self { trusted, doubtful, members, solver: Solver::new(n_poses, edges) }
     }
 
-    /// Optimizes the poses with these weights of the doubtful edges.
-    fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2]) {
+    /// Moves the poses towards the optimum with these weights of the doubtful edges. Returns the share of the cost that the
+    /// last step took away.
+    fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2]) -> f64 {
         let with_weight: Vec<usize> = (0..weights.len()).filter(|&k| 0.0 < weights[k]).collect();
         let is_member = |k: &usize| self.members.binary_search(k).is_ok();
         let n_idle = self.members.len().saturating_sub(with_weight.len());
@@ -117,7 +138,7 @@ impl<'a> Graduated<'a> {
         }
         let mut of_edges = vec![1.0; self.trusted.len()];
         of_edges.extend(self.members.iter().map(|&k| weights[k]));
-        self.solver.optimize(&of_edges, poses, CONVERGED);
+        self.solver.optimize(&of_edges, poses, OF_ROUND)
     }
 }
 

@@ -8,7 +8,7 @@ use super::{Judged, NotFitted};
 
 /// Fewer places with a right candidate do not give a recall to within 10 %.
 const MIN_PLACES: usize = 25;
-/// Share of the recall of all ranks that is enough. More candidates cost time and add wrong ones.
+/// Share of the places that is enough, less one standard error. More candidates cost time and add wrong ones.
 const ENOUGH: f64 = 0.98;
 /// At least this number: a place of another building may look more like others.
 const LEAST: u32 = 3;
@@ -16,6 +16,10 @@ const LEAST: u32 = 3;
 /// The smallest number of compared places with nearly the recall of the largest number in the data: of
 /// the places with a right candidate, those with one among the first `n`. It cannot exceed the number
 /// that `detect` compared.
+///
+/// Nearly means that the share is not less than [`ENOUGH`] by more than its standard error (the one-standard-error
+/// rule, Breiman, Friedman, Olshen and Stone 1984, "Classification and Regression Trees", section 3.4.3). A short drive
+/// has some dozen places, and a single one of them would otherwise add several candidates everywhere.
 pub(super) fn fit(logs: &[Vec<Judged<'_>>]) -> Result<u32, NotFitted> {
     // The first rank of each place, and the weight of its log.
     let mut first_ranks: Vec<(u32, f64)> = Vec::new();
@@ -35,12 +39,38 @@ pub(super) fn fit(logs: &[Vec<Judged<'_>>]) -> Result<u32, NotFitted> {
             expected: format!("{MIN_PLACES} or more"),
         });
     }
-    let recall = |n: u32| {
-        let found = first_ranks.iter().filter(|(rank, _)| *rank < n);
-        found.map(|(_, weight)| weight).sum::<f64>()
-    };
     let most = first_ranks.iter().map(|(rank, _)| rank + 1).max().unwrap_or(LEAST);
-    // The recall of `most` is that of all, so the range contains a number that is enough.
-    let enough = (LEAST..most).find(|&n| ENOUGH * recall(most) <= recall(n));
-    Ok(enough.unwrap_or(most.max(LEAST)))
+    let is_enough = |&n: &u32| {
+        let (share, standard_error) = share_before(n, &first_ranks);
+        ENOUGH <= share + standard_error
+    };
+    Ok((LEAST..most).find(is_enough).unwrap_or(most.max(LEAST)))
+}
+
+/// The weighted share of the ranks before `n`, and its standard error if they are independent.
+fn share_before(n: u32, ranks: &[(u32, f64)]) -> (f64, f64) {
+    let total: f64 = ranks.iter().map(|(_, weight)| weight).sum();
+    let before = ranks.iter().filter(|(rank, _)| *rank < n);
+    let share = before.map(|(_, weight)| weight).sum::<f64>() / total;
+    let squares: f64 = ranks.iter().map(|(_, weight)| weight * weight).sum();
+    (share, (squares * share * (1.0 - share)).max(0.0).sqrt() / total)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// By hand: 24 places of a log, one of them found late, and 36 of another log, all found first.
+    #[test]
+    fn one_place_of_a_short_log_is_within_the_standard_error() {
+        let mut ranks = vec![(0, 1.0 / 24.0); 23];
+        ranks.push((8, 1.0 / 24.0));
+        ranks.extend(vec![(0, 1.0 / 36.0); 36]);
+        let (share, standard_error) = share_before(3, &ranks);
+        assert!((share - (1.0 - 1.0 / 48.0)).abs() < 1e-12);
+        // sqrt((1/24 + 1/36) * 47/48 * 1/48) / 2
+        assert!((standard_error - 0.018_819).abs() < 1e-6, "{standard_error}");
+        let (share, standard_error) = share_before(9, &ranks);
+        assert!((share - 1.0).abs() < 1e-12 && standard_error < 1e-6);
+    }
 }
