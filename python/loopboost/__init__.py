@@ -2,7 +2,8 @@
 
 `inspect` describes a log and suggests a pipeline file. `run` makes scans, keyframes, features, labels, models and a report.
 `detect` finds loop closures in new logs with a model. Both return a `Run`, whose tables go into polars, pyarrow or DuckDB.
-`read_scans` and `read_poses` read logs into memory. `featurize` and `Model` work on arrays, without files.
+`read_scans` and `read_poses` read logs into memory. `featurize`, `featurize_table` and `Model` work on arrays and tables, without
+files.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from loopboost._errors import ArgumentError, CommandError, InputError, LoopboostError
-from loopboost._logs import read_poses, read_scans
+from loopboost._logs import read_poses, read_scans, to_tum
 from loopboost._loopboost import Rows, Table, __version__, feature_names
-from loopboost._model import Model, featurize
+from loopboost._model import Model, featurize, featurize_table
 from loopboost._run import Run
 
 __all__ = [
@@ -34,10 +35,12 @@ __all__ = [
     "detect",
     "feature_names",
     "featurize",
+    "featurize_table",
     "inspect",
     "read_poses",
     "read_scans",
     "run",
+    "to_tum",
 ]
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from loopboost import _loopboost
 from loopboost._errors import ArgumentError
 from loopboost._loopboost import Rows
+from loopboost._streams import stream_of
 
 
 def read_scans(
@@ -70,3 +71,15 @@ def _options(lidar: Mapping[str, Any], poses: str | Mapping[str, Any] | None) ->
 def _plain(value: Any) -> Any:
     """A number or an array of numpy, or a path."""
     return value.tolist() if hasattr(value, "tolist") else os.fspath(value)
+
+
+def to_tum(poses: Any, file: str | PathLike[str]) -> int:
+    """Writes poses as a TUM file, which evo reads: `stamp x y z qx qy qz qw` [s, m]. Returns the number of poses.
+
+    poses: a table with the columns `stamp_ns`, `x_m`, `y_m` and `heading_rad`, as from `read_poses`, or
+    `Run.table("trajectory", log)`; any object that gives an Arrow stream. An existing file is replaced, and missing folders are
+    made.
+
+    `Run.tum` has the file of the optimized poses of a log.
+    """
+    return _loopboost.to_tum(stream_of("poses", poses), file)

@@ -13,9 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 from loopboost import _loopboost
 from loopboost._errors import ArgumentError
+from loopboost._streams import stream_of
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray
+
+    from loopboost._run import Run
 
 #: The gate between groups of returns of the feature set `paper16` [m].
 GATE_M = 2.5
@@ -49,6 +52,18 @@ def featurize(
     Returns `(n_features,)`, float64, the same bits as in the table of the program. `feature_names(set)` has the names.
     """
     return _loopboost.featurize(*_returns(x_m, y_m), float(coverage_deg), set, float(gate_m))
+
+
+def featurize_table(scans: Any, set: str = "campus", gate_m: float = GATE_M) -> _loopboost.Rows:
+    """Features of all scans of a table, see `featurize`.
+
+    scans: a table with the columns `x_m` and `y_m`, lists of numbers, and `coverage_deg`, as from `read_scans` or `Run.scans`;
+    any object that gives an Arrow stream, such as a table of polars, pyarrow or DuckDB. set, gate_m: as for `featurize`.
+
+    Returns the other columns of the table, and one column per feature. The features of a scan from which none can be computed,
+    such as one with two returns, are null.
+    """
+    return _loopboost.featurize_table(stream_of("scans", scans), set, float(gate_m))
 
 
 class Model:
@@ -123,6 +138,12 @@ class Model:
     def measured(self) -> list[dict[str, Any]]:
         """Cross-validated errors, by grouping."""
         return self._section("measured")
+
+    def detect(self, pipeline: str | PathLike[str], out: str | PathLike[str], **options: Any) -> Run:
+        """Finds loop closures in the logs of a pipeline file, see `loopboost.detect`, which has the same options."""
+        from loopboost import detect
+
+        return detect(pipeline, self, out, **options)
 
     def card(self) -> str:
         """The card of the model, as text."""

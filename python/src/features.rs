@@ -1,10 +1,18 @@
 //! Features of scans.
 
+use std::sync::Arc;
+
 use ::featurize::{FeatureSet, Featurizer, Options};
+use arrow_array::{ArrayRef, Float64Array, RecordBatch, RecordBatchReader};
+use arrow_schema::{DataType, Field, Schema, SchemaRef};
 use dataset::Scan;
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
+use pyo3::types::PyCapsule;
 
+use crate::columns::{Wrong, column, lists, numbers};
+use crate::scans::Rows;
+use crate::table::{column_names, rows_of};
 use crate::{Class, error};
 
 /// The feature set of this name.
@@ -32,9 +40,115 @@ pub(crate) fn featurize<'py>(
     set: &str,
     gate_m: f64,
 ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let options = options(py, set, gate_m)?;
+    features_of(py, &x_m, &y_m, coverage_deg, &options)
+}
+
+fn options(py: Python<'_>, set: &str, gate_m: f64) -> PyResult<Options> {
     let options = Options { set: feature_set(py, set)?, gate_m };
     options.check().map_err(|wrong| error(py, Class::Argument, wrong))?;
-    features_of(py, &x_m, &y_m, coverage_deg, &options)
+    Ok(options)
+}
+
+/// The features of each scan of a table, next to the columns that are not points.
+#[pyfunction]
+pub(crate) fn featurize_table(
+    py: Python<'_>,
+    scans: &Bound<'_, PyCapsule>,
+    set: &str,
+    gate_m: f64,
+) -> PyResult<Rows> {
+    let options = options(py, set, gate_m)?;
+    let mut scans = rows_of(scans)?;
+    let schema = with_features(&scans.schema(), options.set.feature_names())
+        .map_err(|wrong| error(py, Class::Argument, wrong))?;
+    let mut batches = Vec::new();
+    let mut n_rows = 0;
+    loop {
+        py.check_signals()?;
+        let batch = py.detach(|| -> Result<Option<RecordBatch>, String> {
+            let Some(batch) = scans.next() else { return Ok(None) };
+            let batch = batch.map_err(|failed| failed.to_string())?;
+            let scans = scans_of(&batch).map_err(|wrong| wrong.after(n_rows))?;
+            n_rows += scans.len();
+            Ok(Some(featurized(&batch, &scans, &options, &schema)))
+        });
+        match batch.map_err(|failed| error(py, Class::Argument, failed))? {
+            Some(batch) => batches.push(batch),
+            None => break,
+        }
+    }
+    Ok(Rows::new(schema, batches, Vec::new()))
+}
+
+/// The columns with the points of a scan.
+const POINTS: [&str; 2] = ["x_m", "y_m"];
+
+/// The columns of a table of scans without the points, and those of the features.
+fn with_features(of_scans: &Schema, features: &[&str]) -> Result<SchemaRef, String> {
+    let others = of_scans.fields().iter().filter(|field| !POINTS.contains(&field.name().as_str()));
+    let mut fields: Vec<Field> = others.map(|field| field.as_ref().clone()).collect();
+    if let Some(twice) = fields.iter().find(|field| features.contains(&field.name().as_str())) {
+        return Err(format!(
+            "the table has a column `{}` already, which is the name of a feature; pass a table of scans",
+            twice.name()
+        ));
+    }
+    fields.extend(features.iter().map(|name| Field::new(*name, DataType::Float64, true)));
+    Ok(Arc::new(Schema::new(fields)))
+}
+
+/// The rows of a batch with the features of their scans. Those of a scan from which none can be computed are null.
+fn featurized(
+    batch: &RecordBatch,
+    scans: &[Scan],
+    options: &Options,
+    schema: &SchemaRef,
+) -> RecordBatch {
+    let n_features = options.set.feature_names().len();
+    let mut features: Vec<Option<Vec<f64>>> = vec![None; scans.len()];
+    // Threads of this call only: those of a pool are missing in a process that Python's multiprocessing forked.
+    let n_threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let chunk = scans.len().div_ceil(n_threads).max(1);
+    std::thread::scope(|scope| {
+        for (scans, features) in scans.chunks(chunk).zip(features.chunks_mut(chunk)) {
+            scope.spawn(move || {
+                let mut featurizer = Featurizer::new(options);
+                for (scan, features) in scans.iter().zip(features) {
+                    let mut values = vec![0.0; n_features];
+                    *features = featurizer.features(scan, &mut values).is_ok().then_some(values);
+                }
+            });
+        }
+    });
+    let names = column_names(batch.schema_ref()).into_iter().zip(batch.columns());
+    let others = names.filter(|(name, _)| !POINTS.contains(name));
+    let mut columns: Vec<ArrayRef> = others.map(|(_, column)| column.clone()).collect();
+    columns.extend((0..n_features).map(|feature| -> ArrayRef {
+        let of_scan = |features: &Option<Vec<f64>>| features.as_ref().map(|values| values[feature]);
+        Arc::new(features.iter().map(of_scan).collect::<Float64Array>())
+    }));
+    RecordBatch::try_new(schema.clone(), columns).expect("the columns are those of the schema")
+}
+
+/// What a table of scans has.
+const EXPECTED: &str = "a table of scans has `x_m`, `y_m` and `coverage_deg`";
+
+/// The scans of a batch: the columns `x_m` and `y_m`, lists of numbers, and `coverage_deg`.
+fn scans_of(batch: &RecordBatch) -> Result<Vec<Scan>, Wrong> {
+    let [x_m, y_m] = POINTS.map(|name| lists(batch, name, EXPECTED));
+    let (x_m, y_m, coverage_deg) =
+        (x_m?, y_m?, numbers(column(batch, "coverage_deg", EXPECTED)?, "coverage_deg")?);
+    let scans = x_m.into_iter().zip(y_m).zip(coverage_deg).enumerate();
+    scans
+        .map(|(row, ((x_m, y_m), coverage_deg))| match x_m.len() == y_m.len() {
+            true => Ok(Scan { x_m, y_m, coverage_deg, ..Scan::default() }),
+            false => {
+                let found = format!("{} numbers in `x_m` and {} in `y_m`", x_m.len(), y_m.len());
+                Err(Wrong::Row { row, found })
+            }
+        })
+        .collect()
 }
 
 /// The features of a scan with options that were checked.

@@ -3,8 +3,10 @@
 //! `loopboost/__init__.py` has the interface for users. It checks and converts arrays. What is here takes contiguous
 //! arrays of one type.
 
+mod columns;
 mod features;
 mod model;
+mod poses;
 mod scans;
 mod table;
 
@@ -20,8 +22,10 @@ fn _loopboost(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<table::Table>()?;
     module.add_function(wrap_pyfunction!(features::feature_names, module)?)?;
     module.add_function(wrap_pyfunction!(features::featurize, module)?)?;
+    module.add_function(wrap_pyfunction!(features::featurize_table, module)?)?;
     module.add_function(wrap_pyfunction!(scans::read_scans, module)?)?;
     module.add_function(wrap_pyfunction!(scans::read_poses, module)?)?;
+    module.add_function(wrap_pyfunction!(poses::to_tum, module)?)?;
     module.add_function(wrap_pyfunction!(main, module)?)
 }
 

@@ -25,6 +25,13 @@ pub(crate) struct Rows {
     messages: Vec<String>,
 }
 
+impl Rows {
+    /// Batches of this schema, and lines about them.
+    pub(crate) fn new(schema: SchemaRef, batches: Vec<RecordBatch>, messages: Vec<String>) -> Self {
+        Self { schema, batches, messages }
+    }
+}
+
 #[pymethods]
 impl Rows {
     fn __repr__(&self) -> String {

@@ -6,7 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use arrow_array::ffi_stream::FFI_ArrowArrayStream;
+use arrow_array::ffi_stream::{FFI_ArrowArrayStream, RecordBatchStreamReader};
 use arrow_array::{RecordBatch, RecordBatchReader};
 use arrow_schema::{ArrowError, Schema, SchemaRef};
 use parquet::arrow::arrow_reader::{ParquetRecordBatchReader, ParquetRecordBatchReaderBuilder};
@@ -107,7 +107,19 @@ pub(crate) fn stream(
     rows: impl RecordBatchReader + Send + 'static,
 ) -> PyResult<Bound<'_, PyCapsule>> {
     let stream = FFI_ArrowArrayStream::new(Box::new(rows));
-    PyCapsule::new_with_value(py, stream, c"arrow_array_stream")
+    PyCapsule::new_with_value(py, stream, STREAM)
+}
+
+/// The name of a stream in a capsule, by the Arrow PyCapsule interface.
+const STREAM: &std::ffi::CStr = c"arrow_array_stream";
+
+/// The rows of a stream that another library made. They are taken out of the capsule.
+pub(crate) fn rows_of(capsule: &Bound<'_, PyCapsule>) -> PyResult<RecordBatchStreamReader> {
+    let pointer = capsule.pointer_checked(Some(STREAM))?;
+    // SAFETY: a capsule with this name has a pointer to such a stream. The reader moves it out, and leaves a released one.
+    #[allow(unsafe_code)]
+    let reader = unsafe { RecordBatchStreamReader::from_raw(pointer.cast().as_ptr()) };
+    reader.map_err(|failed| error(capsule.py(), Class::Argument, failed))
 }
 
 /// The rows of files, one file after the other.

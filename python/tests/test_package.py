@@ -109,6 +109,17 @@ def logs_are_read_as_by_the_program(run):
     assert any(line.startswith("info[deskewed]: ") for line in scans.messages), scans.messages
     found = loopboost.read_poses([log], topic, {"topic": np.str_(poses)})
     assert pyarrow.table(found).equals(pyarrow.table(run.table("poses", "monday"))), found
+    tum = FOLDER / "poses.tum"
+    assert loopboost.to_tum(found, tum) == len(found)
+    poses_of_tum = polars.DataFrame(found).sort("stamp_ns")
+    stamp_s, x_m, y_m, *_, sin, cos = np.loadtxt(tum).T
+    assert np.abs(stamp_s - poses_of_tum["stamp_ns"].to_numpy() / 1e9).max() < 1e-6 and np.abs(x_m - poses_of_tum["x_m"].to_numpy()).max() < 1e-8
+    assert np.abs(np.exp(2j * np.arctan2(sin, cos)) - np.exp(1j * poses_of_tum["heading_rad"].to_numpy())).max() < 1e-9
+    of_duckdb = duckdb.sql("SELECT make_timestamp_ns(stamp_ns) AS stamp_ns, x_m, y_m, heading_rad FROM found LIMIT 7")
+    assert loopboost.to_tum(of_duckdb, tum) == 7
+    raises(loopboost.ArgumentError, "no column `heading_rad`", loopboost.to_tum, poses_of_tum.drop("heading_rad"), tum)
+    raises(loopboost.ArgumentError, "row 0: a stamp or a pose", loopboost.to_tum, poses_of_tum.with_columns(x_m=float("nan")), tum)
+    raises(loopboost.InputError, "poses.tum", loopboost.to_tum, found, tum / "below_a_file.tum")
     raw = loopboost.read_scans(str(log), topic, range_max_m=np.float32(5))
     near = polars.DataFrame(raw).select(polars.col("x_m").explode().pow(2) + polars.col("y_m").explode().pow(2)).max().item()
     assert 24 < near <= 25.001 and not any("[deskewed]" in line for line in raw.messages), raw.messages
@@ -157,6 +168,26 @@ def features_equal_the_table(run):
             assert found.dtype == np.float64 and found.tobytes() == expected.tobytes()
         n_compared += 1
     assert n_compared == features.height
+    # A whole table, also as other libraries make it: with long lists, and numbers of 64 bits.
+    wide = scans.with_columns(polars.col("x_m", "y_m").cast(polars.List(polars.Float64)), polars.col("coverage_deg").cast(float))
+    for table in (run.scans("monday"), scans, wide, scans.to_arrow()):
+        found = loopboost.featurize_table(table, set="paper16")
+        assert found.column_names == [name for name in scans.columns if name not in ("x_m", "y_m")] + names
+        of_all = polars.DataFrame(found)
+        of_keyframes = of_all.join(features.select("log", "scan"), on=["log", "scan"], how="semi").sort("scan")
+        assert of_keyframes.select(names).equals(features.sort("scan").select(names)) and of_all.height == scans.height
+    few = scans.head(3).with_columns(*(polars.Series(name, [[1.0, 2.0]] * 3, polars.List(polars.Float32)) for name in ("x_m", "y_m")))
+    mixed = polars.concat([few, scans.head(2)])
+    first = polars.DataFrame(loopboost.featurize_table(mixed))[loopboost.feature_names("campus")[0]]
+    assert first.is_null().to_list() == [True] * 3 + [False] * 2, first
+    raises(loopboost.ArgumentError, "no column `x_m`", loopboost.featurize_table, run.pairs)
+    raises(loopboost.ArgumentError, "Float64, expected lists", loopboost.featurize_table, run.keyframes)
+    raises(loopboost.ArgumentError, "list, expected a table", loopboost.featurize_table, [x_m, y_m])
+    raises(loopboost.ArgumentError, "column `" + names[0], loopboost.featurize_table, scans.with_columns(polars.lit(1).alias(names[0])), set="paper16")
+    uneven = scans.with_columns(polars.when(polars.col("scan") == 5).then(polars.lit([1.0], polars.List(polars.Float32))).otherwise("x_m").alias("x_m"))
+    raises(loopboost.ArgumentError, "row 5: 1 numbers in `x_m`", loopboost.featurize_table, uneven)
+    hole = scans.with_columns(polars.when(polars.col("scan") != 7).then("y_m").alias("y_m"))
+    raises(loopboost.ArgumentError, "row 7: a null in `y_m`", loopboost.featurize_table, hole)
     # Every second value of an array that is not contiguous.
     strided = loopboost.featurize(np.repeat(x_m, 2)[::2], np.repeat(y_m, 2)[::2], row["coverage_deg"], set="paper16")
     assert strided.tobytes() == loopboost.featurize(x_m, y_m, row["coverage_deg"], set="paper16").tobytes()
@@ -226,6 +257,7 @@ def commands_report_errors(run):
     raises(loopboost.ArgumentError, "positive_radius_m", loopboost.run, QUICKSTART, FOLDER / "wrong", overrides=wrong)
     raises(loopboost.ArgumentError, "missing.toml", loopboost.run, FOLDER / "missing.toml", FOLDER / "wrong")
     raises(loopboost.CommandError, "detector", loopboost.detect, QUICKSTART, run.model("quickstart-discrete"), FOLDER / "wrong")
+    raises(loopboost.CommandError, "detector", run.model("quickstart-discrete").detect, QUICKSTART, FOLDER / "wrong", strict=True)
     values = {"label.positive_radius_m": np.float64(1.25), "train.learners": ["discrete"], "evaluate.grid.positive_radius_m": np.array([1.0, 2.0])}
     values |= {"label.pairs_per_class": np.int64(200)}
     changed = FOLDER / "changed"

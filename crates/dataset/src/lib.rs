@@ -51,6 +51,7 @@ mod scan;
 mod scores;
 #[cfg(feature = "parquet")]
 pub mod tables;
+mod tum;
 mod words;
 
 pub use codes::{Severity, Subject};
@@ -73,3 +74,4 @@ pub use scan::{FULL_RING_DEG, RangeLimits, Scan, Unusable};
 pub use scores::{
     BoostingRound, FeatureUsefulness, GridCell, HeldOut, Retrieval, RetrievalPoint, Scores,
 };
+pub use tum::tum;

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use dataset::{GraphEdge, Pose2, RegisteredScan, StampedPose, Trajectory};
+use dataset::{GraphEdge, Pose2, RegisteredScan};
 use optimize::{Edge, Solution};
 
 use crate::drives::upper_triangle;
@@ -72,41 +72,5 @@ impl Graph {
             "{}{}# Poses of the lidar [m, rad]. Vertices are numbered along each drive.\n{}",
             self.vertices, self.edges, self.comments
         )
-    }
-}
-
-/// Poses as text, one line per pose: `stamp x y z qx qy qz qw`, in s, m and a unit quaternion.
-pub(crate) fn tum(trajectory: &Trajectory) -> String {
-    const SECOND_NS: u64 = 1_000_000_000;
-    let mut text = String::new();
-    for StampedPose { stamp_ns, pose, .. } in trajectory.poses() {
-        let sign = if *stamp_ns < 0 { "-" } else { "" };
-        let ns = stamp_ns.unsigned_abs();
-        let (seconds, rest) = (ns / SECOND_NS, ns % SECOND_NS);
-        let (sin, cos) = libm::sincos(pose.heading_rad / 2.0);
-        let _ = writeln!(
-            text,
-            "{sign}{seconds}.{rest:09} {:.9} {:.9} 0 0 0 {sin:.12} {cos:.12}",
-            pose.x_m, pose.y_m
-        );
-    }
-    text
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// A quarter turn to the left: half of it is 45 deg, whose sine and cosine are 0.7071.
-    #[test]
-    fn a_trajectory_as_text_has_nanoseconds_and_quaternions() {
-        let heading_rad = std::f64::consts::FRAC_PI_2;
-        let pose =
-            |stamp_ns| StampedPose::new(stamp_ns, Pose2 { x_m: 1.5, y_m: -2.0, heading_rad });
-        let (trajectory, _) = Trajectory::new(vec![pose(1_000_000_007), pose(-1)]);
-        let text = tum(&trajectory);
-        let lines: Vec<&str> = text.lines().collect();
-        let rest = "1.500000000 -2.000000000 0 0 0 0.707106781187 0.707106781187";
-        assert_eq!(lines, [format!("-0.000000001 {rest}"), format!("1.000000007 {rest}")]);
     }
 }

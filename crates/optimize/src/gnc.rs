@@ -108,8 +108,9 @@ struct Graduated<'a> {
     solver: Solver,
 }
 
-/// Edges without weight make each step slower. They are taken out when they are this share of all.
-const MAX_IDLE_SHARE: f64 = 0.1;
+/// Edges without weight are taken out when they are this share of all. A wrong one joins two places at random, and some
+/// per cent of them make the factor so dense that a step takes ten times as long.
+const MAX_IDLE_SHARE: f64 = 0.01;
 /// The end of a round.
 const OF_ROUND: Ends = Ends { max_steps: 3, converged: 1e-4 };
 /// The next round has another control parameter if the last step took away a smaller share of the cost than this.

@@ -265,12 +265,7 @@ impl Aligner<'_> {
                         let a_from_b = poses[a].inverse() * poses[b];
                         Some(pair_term(&scans[&b].source, target, &a_from_b, gates))
                     };
-                    // Half of the pairs in each direction.
-                    let is_forward = (a + b) % 2 == 0;
-                    [
-                        (gates.is_last || is_forward).then(|| term(a, b)).flatten(),
-                        (gates.is_last || !is_forward).then(|| term(b, a)).flatten(),
-                    ]
+                    [term(a, b), term(b, a)]
                 })
                 .collect();
             for (&(a, b), [forward, backward]) in pairs.iter().zip(&terms) {
@@ -360,8 +355,6 @@ struct Gates {
     information: f64,
     /// One of this many source points takes part.
     every: usize,
-    /// Whether it is the last iteration, where the points of both scans of a pair are sources. Before, those of one are.
-    is_last: bool,
 }
 
 impl Gates {
@@ -370,13 +363,10 @@ impl Gates {
         let share = (f64::from(iteration) / f64::from(last)).min(1.0);
         let between = |first: f64, last: f64| first + share * (last - first);
         // Before the last iteration, few points are enough. Each of them counts for several.
-        let is_last = options.iterations <= iteration + 1;
-        let (every, n_directions) = if is_last { (1, 2) } else { (EVERY, 1) };
-        let points_per_measurement =
-            options.points_per_measurement * f64::from(n_directions) / (2 * every) as f64;
+        let every = if iteration + 1 < options.iterations { EVERY } else { 1 };
+        let points_per_measurement = options.points_per_measurement / every as f64;
         Self {
             every,
-            is_last,
             gate_m: between(options.first_gate_m, options.last_gate_m),
             scale_m: between(options.first_scale_m, options.last_scale_m),
             information: 1.0 / (options.noise_m * options.noise_m * points_per_measurement),

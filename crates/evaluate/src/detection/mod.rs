@@ -41,5 +41,5 @@ pub use sites::{
     ClosureBetween, DriveKeyframe, MapMeasures, SiteDrives, SiteErrors, SiteMeasures, measure_site,
 };
 pub use tables::write_detection;
-pub use trajectory::{Alignment, DRIFT_PATHS_M, Drift, align, relative_errors, tum};
+pub use trajectory::{Alignment, DRIFT_PATHS_M, Drift, align, relative_errors};
 pub use truth::{DOUBTFUL_DEG, DOUBTFUL_M, MAX_CARRY_NS, MAX_INTERPOLATION_NS, TruePose, Truth};

@@ -5,13 +5,14 @@ use std::sync::Arc;
 
 use arrow_array::{ArrayRef, BooleanArray, Float64Array, StringArray, UInt32Array, UInt64Array};
 use dataset::tables::{Provenance, Result, batch, floats, strings, write_file, write_table};
+use dataset::tum;
 
 use super::calibration::Calibration;
 use super::closures::Judged;
 use super::input::{Drive, FoundClosure};
 use super::measure::{AgainstTruth, DriveMeasures, PoseSource, TrajectoryErrors};
 use super::revisits::RevisitCounts;
-use super::trajectory::{Drift, tum};
+use super::trajectory::Drift;
 use super::truth::Truth;
 
 /// Writes the tables and trajectories to a folder and returns their paths. `drives` and `measures` have
@@ -58,7 +59,7 @@ pub fn write_detection(
             .filter_map(|scan| Some((scan.stamp_ns, truth.measured_at(scan.stamp_ns)?)));
         let mut files = vec![("truth", tum(measured))];
         for source in PoseSource::ALL {
-            files.push((source.name(), tum(source.poses(drive).into_iter())));
+            files.push((source.name(), tum(source.poses(drive))));
         }
         for (name, text) in files {
             let path = of_drive.join(format!("{name}.tum"));

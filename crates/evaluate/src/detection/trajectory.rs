@@ -1,7 +1,5 @@
 //! Errors of trajectories, as evo defines them.
 
-use std::fmt::Write as _;
-
 use dataset::{Pose2, quantile, wrap_angle};
 use serde::Serialize;
 
@@ -138,24 +136,6 @@ fn pairs_by_path(poses: &[Pose2], path_m: f64) -> Vec<(usize, usize)> {
     pairs
 }
 
-/// Poses in the format of the TUM RGB-D benchmark, as evo reads it: stamp \[s\], x, y, z \[m\] and the
-/// quaternion x, y, z, w.
-pub fn tum(poses: impl Iterator<Item = (i64, Pose2)>) -> String {
-    let mut text = String::new();
-    for (stamp_ns, pose) in poses {
-        let (sin, cos) = libm::sincos(pose.heading_rad / 2.0);
-        let (seconds, ns) =
-            (stamp_ns.div_euclid(1_000_000_000), stamp_ns.rem_euclid(1_000_000_000));
-        // Writing to a string does not fail.
-        let _ = writeln!(
-            text,
-            "{seconds}.{ns:09} {:.9} {:.9} 0 0 0 {sin:.12} {cos:.12}",
-            pose.x_m, pose.y_m
-        );
-    }
-    text
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -229,14 +209,5 @@ mod tests {
         assert_eq!(pairs_by_path(&poses, 1.0), [(0, 1), (1, 4), (2, 4), (3, 4)]);
         // Over 2 m: 0 pairs with 2.05, and 2.05 with 4.
         assert_eq!(pairs_by_path(&poses, 2.0), [(0, 4), (4, 5)]);
-    }
-
-    /// A heading of 180 deg is a quaternion along z.
-    #[test]
-    fn poses_are_written_as_evo_reads_them() {
-        let line = tum([(1_500_000_000_000_000_005, at(1.5, -2.0, 180.0))].into_iter());
-        let expected =
-            "1500000000.000000005 1.500000000 -2.000000000 0 0 0 1.000000000000 0.000000000000\n";
-        assert_eq!(line, expected);
     }
 }

@@ -8,7 +8,7 @@ use dataset::tables::{
 };
 use dataset::{
     CandidateClosure, JudgedClosure, MapPose, Note, NoteKind, Pose2, RegisteredScan, ScanClosure,
-    ScanId, StampedPose, Subject, Trajectory,
+    ScanId, StampedPose, Subject, Trajectory, tum,
 };
 use model::{Detector, Model};
 use nalgebra::Matrix3;
@@ -27,7 +27,7 @@ use crate::findings::Findings;
 use crate::georeference::{Far, Georeference, Georeferenced};
 use crate::known_map::KnownMap;
 use crate::logs::LogFile;
-use crate::map_files::{Graph, is_same_drive, tum};
+use crate::map_files::{Graph, is_same_drive};
 use crate::references::{self, SiteReferences};
 use crate::run::{Done, Run, Task};
 use crate::scorer::Scorer;
@@ -492,7 +492,8 @@ fn write(
         let table = run.path_of_log(Artifact::ScanTrajectory, &log.name);
         write_poses(&table, provenance, &log.name, trajectory)?;
         let text = run.path_of_log(Artifact::TumTrajectory, &log.name);
-        write_file(&text, tum(trajectory).as_bytes())?;
+        let poses = trajectory.poses().iter().map(|pose| (pose.stamp_ns, pose.pose));
+        write_file(&text, tum(poses).as_bytes())?;
         outputs.extend([table, text]);
     }
     Ok(outputs)
