@@ -76,9 +76,9 @@ def _plain(value: Any) -> Any:
 def to_tum(poses: Any, file: str | PathLike[str]) -> int:
     """Writes poses as a TUM file, which evo reads: `stamp x y z qx qy qz qw` [s, m]. Returns the number of poses.
 
-    poses: a table with the columns `stamp_ns`, `x_m`, `y_m` and `heading_rad`, as from `read_poses`, or
-    `Run.table("trajectory", log)`; any object that gives an Arrow stream. An existing file is replaced, and missing folders are
-    made.
+    poses: a table of one log with the columns `stamp_ns`, `x_m`, `y_m` and `heading_rad` (64 bit numbers), as from `read_poses`,
+    or `Run.table("trajectory", log)`; any object that gives an Arrow stream. Its order is kept. An existing file is replaced, and
+    missing folders are made.
 
     `Run.tum` has the file of the optimized poses of a log.
     """

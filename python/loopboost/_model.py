@@ -61,7 +61,7 @@ def featurize_table(scans: Any, set: str = "campus", gate_m: float = GATE_M) -> 
     any object that gives an Arrow stream, such as a table of polars, pyarrow or DuckDB. set, gate_m: as for `featurize`.
 
     Returns the other columns of the table, and one column per feature. The features of a scan from which none can be computed,
-    such as one with two returns, are null.
+    such as one with two returns, are null. `Rows.messages` counts such scans.
     """
     return _loopboost.featurize_table(stream_of("scans", scans), set, float(gate_m))
 

@@ -1,8 +1,8 @@
 //! Columns of tables from other libraries.
 
 use arrow_array::cast::AsArray;
-use arrow_array::types::{Float32Type, Float64Type};
-use arrow_array::{Array, ArrayRef, OffsetSizeTrait, RecordBatch};
+use arrow_array::types::{ArrowPrimitiveType, Float32Type, Float64Type, Int32Type, Int64Type};
+use arrow_array::{Array, ArrayRef, RecordBatch};
 use arrow_schema::DataType;
 
 use crate::table::column_names;
@@ -41,15 +41,18 @@ pub(crate) fn numbers(column: &ArrayRef, name: &str) -> Result<Vec<f32>, Wrong> 
         return Err(Wrong::Row { row, found: format!("a null in `{name}`, expected a number") });
     }
     match column.data_type() {
-        DataType::Float32 => Ok(column.as_primitive::<Float32Type>().values().to_vec()),
-        DataType::Float64 => {
-            let values = column.as_primitive::<Float64Type>().values();
-            Ok(values.iter().map(|&value| value as f32).collect())
-        }
+        DataType::Float32 => Ok(rounded::<Float32Type>(column, |value| value)),
+        DataType::Float64 => Ok(rounded::<Float64Type>(column, |value| value as f32)),
+        DataType::Int32 => Ok(rounded::<Int32Type>(column, |value| value as f32)),
+        DataType::Int64 => Ok(rounded::<Int64Type>(column, |value| value as f32)),
         other => Err(Wrong::Column(format!(
-            "`{name}` has type {other}, expected floating point numbers"
+            "the numbers in `{name}` have type {other}, expected floating point or whole numbers of 32 or 64 bits; cast them"
         ))),
     }
+}
+
+fn rounded<T: ArrowPrimitiveType>(column: &ArrayRef, round: fn(T::Native) -> f32) -> Vec<f32> {
+    column.as_primitive::<T>().values().iter().copied().map(round).collect()
 }
 
 /// A column of lists of numbers.
@@ -59,30 +62,26 @@ pub(crate) fn lists(
     expected: &str,
 ) -> Result<Vec<Vec<f32>>, Wrong> {
     let column = column(batch, name, expected)?;
-    match column.data_type() {
-        DataType::List(_) => lists_of::<i32>(column, name),
-        DataType::LargeList(_) => lists_of::<i64>(column, name),
+    let list_of_row: Box<dyn Fn(usize) -> ArrayRef> = match column.data_type() {
+        DataType::List(_) => Box::new(|row| column.as_list::<i32>().value(row)),
+        DataType::LargeList(_) => Box::new(|row| column.as_list::<i64>().value(row)),
+        DataType::FixedSizeList(..) => Box::new(|row| column.as_fixed_size_list().value(row)),
         other => {
-            Err(Wrong::Column(format!("`{name}` has type {other}, expected lists of numbers")))
+            return Err(Wrong::Column(format!(
+                "`{name}` has type {other}, expected lists of numbers"
+            )));
         }
-    }
-}
-
-fn lists_of<Offset: OffsetSizeTrait>(
-    column: &ArrayRef,
-    name: &str,
-) -> Result<Vec<Vec<f32>>, Wrong> {
-    let lists = column.as_list::<Offset>();
+    };
     let of_row = |row: usize| {
-        if lists.is_null(row) {
+        if column.is_null(row) {
             return Err(Wrong::Row { row, found: format!("a null in `{name}`, expected a list") });
         }
-        numbers(&lists.value(row), name).map_err(|wrong| match wrong {
+        numbers(&list_of_row(row), name).map_err(|wrong| match wrong {
             Wrong::Row { row: at, found } => {
                 Wrong::Row { row, found: format!("{found} (number {at} of its list)") }
             }
             of_column => of_column,
         })
     };
-    (0..lists.len()).map(of_row).collect()
+    (0..column.len()).map(of_row).collect()
 }

@@ -1,18 +1,19 @@
 //! Features of scans.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use ::featurize::{FeatureSet, Featurizer, Options};
-use arrow_array::{ArrayRef, Float64Array, RecordBatch, RecordBatchReader};
+use arrow_array::{ArrayRef, Float64Array, RecordBatch, RecordBatchReader, UInt32Array};
 use arrow_schema::{DataType, Field, Schema, SchemaRef};
-use dataset::Scan;
+use dataset::{Scan, Unusable};
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 
 use crate::columns::{Wrong, column, lists, numbers};
 use crate::scans::Rows;
-use crate::table::{column_names, rows_of};
+use crate::table::{column_names, next_of, rows_of};
 use crate::{Class, error};
 
 /// The feature set of this name.
@@ -60,26 +61,35 @@ pub(crate) fn featurize_table(
 ) -> PyResult<Rows> {
     let options = options(py, set, gate_m)?;
     let mut scans = rows_of(scans)?;
+    // Wrong columns are an error for a table without rows, too.
+    let wrong = |wrong: Wrong| error(py, Class::Argument, wrong.after(0));
+    scans_of(&RecordBatch::new_empty(scans.schema())).map_err(wrong)?;
     let schema = with_features(&scans.schema(), options.set.feature_names())
         .map_err(|wrong| error(py, Class::Argument, wrong))?;
     let mut batches = Vec::new();
     let mut n_rows = 0;
-    loop {
-        py.check_signals()?;
-        let batch = py.detach(|| -> Result<Option<RecordBatch>, String> {
-            let Some(batch) = scans.next() else { return Ok(None) };
-            let batch = batch.map_err(|failed| failed.to_string())?;
-            let scans = scans_of(&batch).map_err(|wrong| wrong.after(n_rows))?;
+    let mut unusable = BTreeMap::new();
+    while let Some(batch) = next_of(py, &mut scans)? {
+        for first in (0..batch.num_rows()).step_by(ROWS_AT_ONCE) {
+            py.check_signals()?;
+            let batch = batch.slice(first, ROWS_AT_ONCE.min(batch.num_rows() - first));
+            let scans = scans_of(&batch)
+                .map_err(|wrong| error(py, Class::Argument, wrong.after(n_rows)))?;
             n_rows += scans.len();
-            Ok(Some(featurized(&batch, &scans, &options, &schema)))
-        });
-        match batch.map_err(|failed| error(py, Class::Argument, failed))? {
-            Some(batch) => batches.push(batch),
-            None => break,
+            let features = py.detach(|| features_of_all(&scans, &options));
+            for reason in features.iter().filter_map(|features| features.as_ref().err()) {
+                *unusable.entry(reason.to_string()).or_insert(0) += 1;
+            }
+            batches.push(featurized(&batch, &features, &schema));
         }
     }
-    Ok(Rows::new(schema, batches, Vec::new()))
+    let line =
+        |(reason, n): (String, u64)| format!("{n} of {n_rows} scans have no features: {reason}");
+    Ok(Rows::new(schema, batches, unusable.into_iter().map(line).collect()))
 }
+
+/// Scans between two looks for signals.
+const ROWS_AT_ONCE: usize = 4096;
 
 /// The columns with the points of a scan.
 const POINTS: [&str; 2] = ["x_m", "y_m"];
@@ -98,15 +108,10 @@ fn with_features(of_scans: &Schema, features: &[&str]) -> Result<SchemaRef, Stri
     Ok(Arc::new(Schema::new(fields)))
 }
 
-/// The rows of a batch with the features of their scans. Those of a scan from which none can be computed are null.
-fn featurized(
-    batch: &RecordBatch,
-    scans: &[Scan],
-    options: &Options,
-    schema: &SchemaRef,
-) -> RecordBatch {
+/// The features of each scan, or why it has none.
+fn features_of_all(scans: &[Scan], options: &Options) -> Vec<Result<Vec<f64>, Unusable>> {
     let n_features = options.set.feature_names().len();
-    let mut features: Vec<Option<Vec<f64>>> = vec![None; scans.len()];
+    let mut features: Vec<Result<Vec<f64>, Unusable>> = vec![Ok(Vec::new()); scans.len()];
     // Threads of this call only: those of a pool are missing in a process that Python's multiprocessing forked.
     let n_threads = std::thread::available_parallelism().map_or(1, usize::from);
     let chunk = scans.len().div_ceil(n_threads).max(1);
@@ -116,19 +121,36 @@ fn featurized(
                 let mut featurizer = Featurizer::new(options);
                 for (scan, features) in scans.iter().zip(features) {
                     let mut values = vec![0.0; n_features];
-                    *features = featurizer.features(scan, &mut values).is_ok().then_some(values);
+                    *features = featurizer.features(scan, &mut values).map(|()| values);
                 }
             });
         }
     });
+    features
+}
+
+/// The rows of a batch with the features of their scans, null where there are none.
+fn featurized(
+    batch: &RecordBatch,
+    features: &[Result<Vec<f64>, Unusable>],
+    schema: &SchemaRef,
+) -> RecordBatch {
     let names = column_names(batch.schema_ref()).into_iter().zip(batch.columns());
     let others = names.filter(|(name, _)| !POINTS.contains(name));
-    let mut columns: Vec<ArrayRef> = others.map(|(_, column)| column.clone()).collect();
-    columns.extend((0..n_features).map(|feature| -> ArrayRef {
-        let of_scan = |features: &Option<Vec<f64>>| features.as_ref().map(|values| values[feature]);
+    let mut columns: Vec<ArrayRef> = others.map(|(_, column)| copied(column)).collect();
+    columns.extend((0..schema.fields().len() - columns.len()).map(|feature| -> ArrayRef {
+        let of_scan = |features: &Result<Vec<f64>, Unusable>| {
+            features.as_ref().ok().map(|values| values[feature])
+        };
         Arc::new(features.iter().map(of_scan).collect::<Float64Array>())
     }));
     RecordBatch::try_new(schema.clone(), columns).expect("the columns are those of the schema")
+}
+
+/// A copy. All columns of a stream share their memory with the points, which would be kept with any of them.
+fn copied(column: &ArrayRef) -> ArrayRef {
+    let rows = UInt32Array::from_iter_values(0..column.len() as u32);
+    arrow_select::take::take(column, &rows, None).expect("the rows are those of the column")
 }
 
 /// What a table of scans has.

@@ -1,10 +1,11 @@
 //! Poses as files for other tools.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{Float64Type, Int64Type, TimestampNanosecondType};
-use arrow_array::{Array, RecordBatch};
+use arrow_array::{Array, RecordBatch, RecordBatchReader};
 use arrow_schema::{DataType, TimeUnit};
 use dataset::tables::write_file;
 use dataset::{Pose2, tum};
@@ -12,7 +13,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyCapsule;
 
 use crate::columns::{Wrong, column};
-use crate::table::rows_of;
+use crate::table::{next_of, rows_of};
 use crate::{Class, error};
 
 /// Writes poses as a TUM file, in the order of the table. Returns how many.
@@ -22,20 +23,40 @@ pub(crate) fn to_tum(
     poses: &Bound<'_, PyCapsule>,
     file: PathBuf,
 ) -> PyResult<usize> {
-    let rows = rows_of(poses)?;
-    let read = || -> Result<Vec<(i64, Pose2)>, String> {
-        let mut poses = Vec::new();
-        for batch in rows {
-            let batch = batch.map_err(|failed| failed.to_string())?;
-            let of_batch = poses_of(&batch).map_err(|wrong| wrong.after(poses.len()))?;
-            poses.extend(of_batch);
-        }
-        Ok(poses)
-    };
-    let poses = py.detach(read).map_err(|wrong| error(py, Class::Argument, wrong))?;
+    let mut rows = rows_of(poses)?;
+    let wrong = |message: String| error(py, Class::Argument, message);
+    poses_of(&RecordBatch::new_empty(rows.schema())).map_err(|found| wrong(found.after(0)))?;
+    let mut poses = Vec::new();
+    let mut logs = BTreeSet::new();
+    while let Some(batch) = next_of(py, &mut rows)? {
+        let of_batch = poses_of(&batch).map_err(|found| wrong(found.after(poses.len())))?;
+        poses.extend(of_batch);
+        logs.extend(logs_of(&batch));
+    }
+    if 1 < logs.len() {
+        let logs: Vec<String> = logs.into_iter().collect();
+        return Err(wrong(format!(
+            "the poses are those of several logs ({}); write a file for each of them",
+            logs.join(", ")
+        )));
+    }
     let written = py.detach(|| write_file(&file, tum(poses.iter().copied()).as_bytes()));
-    written.map_err(|failed| error(py, Class::Input, anyhow::Error::from(failed)))?;
+    written
+        .map_err(|failed| error(py, Class::Input, format!("{:#}", anyhow::Error::from(failed))))?;
     Ok(poses.len())
+}
+
+/// The different values of the column `log`, if there is one.
+fn logs_of(batch: &RecordBatch) -> BTreeSet<String> {
+    let Some(column) = batch.column_by_name("log") else { return BTreeSet::new() };
+    let rows = 0..column.len();
+    let log_of: Box<dyn Fn(usize) -> String> = match column.data_type() {
+        DataType::Utf8 => Box::new(|row| column.as_string::<i32>().value(row).to_owned()),
+        DataType::LargeUtf8 => Box::new(|row| column.as_string::<i64>().value(row).to_owned()),
+        DataType::Utf8View => Box::new(|row| column.as_string_view().value(row).to_owned()),
+        _ => return BTreeSet::new(),
+    };
+    rows.filter(|&row| column.is_valid(row)).map(log_of).collect()
 }
 
 /// What a table of poses has.

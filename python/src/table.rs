@@ -115,11 +115,29 @@ const STREAM: &std::ffi::CStr = c"arrow_array_stream";
 
 /// The rows of a stream that another library made. They are taken out of the capsule.
 pub(crate) fn rows_of(capsule: &Bound<'_, PyCapsule>) -> PyResult<RecordBatchStreamReader> {
-    let pointer = capsule.pointer_checked(Some(STREAM))?;
+    let py = capsule.py();
+    let no_table = |found: String| {
+        let message = format!(
+            "expected a table that gives an Arrow stream of rows, not a single column: {found}"
+        );
+        error(py, Class::Argument, message)
+    };
+    let pointer =
+        capsule.pointer_checked(Some(STREAM)).map_err(|found| no_table(found.to_string()))?;
     // SAFETY: a capsule with this name has a pointer to such a stream. The reader moves it out, and leaves a released one.
     #[allow(unsafe_code)]
     let reader = unsafe { RecordBatchStreamReader::from_raw(pointer.cast().as_ptr()) };
-    reader.map_err(|failed| error(capsule.py(), Class::Argument, failed))
+    reader.map_err(|found| no_table(found.to_string()))
+}
+
+/// The next rows of such a stream.
+pub(crate) fn next_of(
+    py: Python<'_>,
+    rows: &mut RecordBatchStreamReader,
+) -> PyResult<Option<RecordBatch>> {
+    py.check_signals()?;
+    let next = py.detach(|| rows.next().transpose());
+    next.map_err(|failed| error(py, Class::Input, format!("the table cannot be read: {failed}")))
 }
 
 /// The rows of files, one file after the other.

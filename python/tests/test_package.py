@@ -119,7 +119,10 @@ def logs_are_read_as_by_the_program(run):
     assert loopboost.to_tum(of_duckdb, tum) == 7
     raises(loopboost.ArgumentError, "no column `heading_rad`", loopboost.to_tum, poses_of_tum.drop("heading_rad"), tum)
     raises(loopboost.ArgumentError, "row 0: a stamp or a pose", loopboost.to_tum, poses_of_tum.with_columns(x_m=float("nan")), tum)
-    raises(loopboost.InputError, "poses.tum", loopboost.to_tum, found, tum / "below_a_file.tum")
+    raises(loopboost.InputError, "File exists", loopboost.to_tum, found, tum / "below_a_file.tum")
+    raises(loopboost.ArgumentError, "monday, tuesday", loopboost.to_tum, run.keyframes, tum)
+    raises(loopboost.ArgumentError, "single column", loopboost.to_tum, poses_of_tum["x_m"], tum)
+    raises(loopboost.ArgumentError, "no column `heading_rad`", loopboost.to_tum, pyarrow.table({"stamp_ns": [1]}).schema.empty_table(), tum)
     raw = loopboost.read_scans(str(log), topic, range_max_m=np.float32(5))
     near = polars.DataFrame(raw).select(polars.col("x_m").explode().pow(2) + polars.col("y_m").explode().pow(2)).max().item()
     assert 24 < near <= 25.001 and not any("[deskewed]" in line for line in raw.messages), raw.messages
@@ -169,6 +172,8 @@ def features_equal_the_table(run):
         n_compared += 1
     assert n_compared == features.height
     # A whole table, also as other libraries make it: with long lists, and numbers of 64 bits.
+    whole = scans.head(200).with_columns(polars.lit(360).alias("coverage_deg"))
+    assert loopboost.featurize_table(whole).messages == []
     wide = scans.with_columns(polars.col("x_m", "y_m").cast(polars.List(polars.Float64)), polars.col("coverage_deg").cast(float))
     for table in (run.scans("monday"), scans, wide, scans.to_arrow()):
         found = loopboost.featurize_table(table, set="paper16")
@@ -178,16 +183,25 @@ def features_equal_the_table(run):
         assert of_keyframes.select(names).equals(features.sort("scan").select(names)) and of_all.height == scans.height
     few = scans.head(3).with_columns(*(polars.Series(name, [[1.0, 2.0]] * 3, polars.List(polars.Float32)) for name in ("x_m", "y_m")))
     mixed = polars.concat([few, scans.head(2)])
-    first = polars.DataFrame(loopboost.featurize_table(mixed))[loopboost.feature_names("campus")[0]]
+    of_mixed = loopboost.featurize_table(mixed)
+    assert of_mixed.messages == ["3 of 5 scans have no features: fewer than 3 returns"], of_mixed.messages
+    first = polars.DataFrame(of_mixed)[loopboost.feature_names("campus")[0]]
     assert first.is_null().to_list() == [True] * 3 + [False] * 2, first
     raises(loopboost.ArgumentError, "no column `x_m`", loopboost.featurize_table, run.pairs)
     raises(loopboost.ArgumentError, "Float64, expected lists", loopboost.featurize_table, run.keyframes)
+    raises(loopboost.ArgumentError, "single column", loopboost.featurize_table, scans["x_m"])
     raises(loopboost.ArgumentError, "list, expected a table", loopboost.featurize_table, [x_m, y_m])
     raises(loopboost.ArgumentError, "column `" + names[0], loopboost.featurize_table, scans.with_columns(polars.lit(1).alias(names[0])), set="paper16")
     uneven = scans.with_columns(polars.when(polars.col("scan") == 5).then(polars.lit([1.0], polars.List(polars.Float32))).otherwise("x_m").alias("x_m"))
     raises(loopboost.ArgumentError, "row 5: 1 numbers in `x_m`", loopboost.featurize_table, uneven)
     hole = scans.with_columns(polars.when(polars.col("scan") != 7).then("y_m").alias("y_m"))
     raises(loopboost.ArgumentError, "row 7: a null in `y_m`", loopboost.featurize_table, hole)
+    chunks = pyarrow.concat_tables([scans.to_arrow(), hole.to_arrow()])
+    raises(loopboost.ArgumentError, f"row {scans.height + 7}: a null", loopboost.featurize_table, chunks)
+    fixed = polars.DataFrame({name: [[1.0, 2.0, 0.5]] for name in ("x_m", "y_m")}).with_columns(coverage_deg=360, y_m=polars.Series([[1.0, 0.0, 3.0]]))
+    in_lists = loopboost.featurize_table(fixed)
+    in_arrays = loopboost.featurize_table(fixed.with_columns(polars.col("x_m", "y_m").list.to_array(3)))
+    assert polars.DataFrame(in_arrays).equals(polars.DataFrame(in_lists)) and not in_lists.messages
     # Every second value of an array that is not contiguous.
     strided = loopboost.featurize(np.repeat(x_m, 2)[::2], np.repeat(y_m, 2)[::2], row["coverage_deg"], set="paper16")
     assert strided.tobytes() == loopboost.featurize(x_m, y_m, row["coverage_deg"], set="paper16").tobytes()

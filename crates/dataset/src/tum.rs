@@ -25,15 +25,14 @@ pub fn tum(poses: impl IntoIterator<Item = (i64, Pose2)>) -> String {
 mod tests {
     use super::*;
 
-    /// A quarter turn to the left: half of it is 45 deg, whose sine and cosine are 0.7071. The time before 1970 is
-    /// negative.
+    /// A turn by 60 deg to the left: the sine of half of it is 0.5. The time before 1970 is negative.
     #[test]
     fn poses_have_nanoseconds_and_quaternions() {
-        let heading_rad = std::f64::consts::FRAC_PI_2;
+        let heading_rad = std::f64::consts::FRAC_PI_3;
         let pose = Pose2 { x_m: 1.5, y_m: -2.0, heading_rad };
         let stamps = [-1, -1_500_000_000, 1_500_000_000_000_000_005];
         let text = tum(stamps.map(|stamp_ns| (stamp_ns, pose)));
-        let rest = "1.500000000 -2.000000000 0 0 0 0.707106781187 0.707106781187";
+        let rest = "1.500000000 -2.000000000 0 0 0 0.500000000000 0.866025403784";
         let expected = ["-0.000000001", "-1.500000000", "1500000000.000000005"];
         assert_eq!(text, expected.map(|stamp| format!("{stamp} {rest}\n")).concat());
     }

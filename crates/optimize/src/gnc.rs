@@ -9,8 +9,10 @@ use crate::graph::{AT_OPTIMUM, Edge, Ends, Solver, cost};
 pub const MAX_CHI2: f64 = 11.344_866_730_144_373;
 /// Factor of the control parameter from round to round (Yang et al. 2020, section V).
 const GROWTH: f64 = 1.4;
-/// The most rounds.
+/// The most values of the control parameter.
 const MAX_ROUNDS: usize = 150;
+/// The most rounds in a row that keep it.
+const MAX_UNSETTLED: usize = 8;
 
 /// The result of a robust optimization.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,7 +28,7 @@ pub struct Robust {
 /// Carlone 2020, "Graduated non-convexity for robust spatial perception", algorithm 1 and table II).
 ///
 /// Each round takes a few steps towards the optimum only, because the next one starts from there, with better
-/// weights. Far from the optimum, it has the same control parameter.
+/// weights. While the last step still takes away much of the cost, the next round keeps the control parameter.
 ///
 /// In the end, the graph with the kept closures is optimized from `start` as well as from the last poses, and the better
 /// result counts: the last poses of a graduation that rejects everything can be bad, and `start` is far away after a
@@ -59,23 +61,32 @@ pub(crate) fn reject_outliers(
         |kept: &[f64]| -> Vec<f64> { kept.iter().zip(shares).map(|(k, s)| k * s).collect() };
     let mut graph = Graduated::new(trusted, doubted, start.len());
     let mut poses = start.to_vec();
-    graph.optimize(&weights(&kept), &mut poses);
+    for _ in 0..MAX_UNSETTLED {
+        if graph.optimize(&weights(&kept), &mut poses) < SETTLED {
+            break;
+        }
+    }
     let chi2_of = |poses: &[Pose2]| -> Vec<f64> { doubted.iter().map(|c| c.chi2(poses)).collect() };
     let mut chi2 = chi2_of(&poses);
     let worst = chi2.iter().zip(max_chi2).max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
     if let Some((largest, max)) = worst.filter(|(chi2, max)| max < chi2) {
         let mut control = max / (2.0 * largest - max);
-        for _ in 0..MAX_ROUNDS {
+        let (mut n_rounds, mut n_unsettled) = (0, 0);
+        while n_rounds < MAX_ROUNDS {
+            let before = kept.clone();
             for (k, weight) in kept.iter_mut().enumerate() {
                 *weight = truncated_weight(chi2[k], control, max_chi2[k]);
             }
-            let is_settled = graph.optimize(&weights(&kept), &mut poses) < SETTLED;
-            chi2 = chi2_of(&poses);
-            if is_settled && kept.iter().all(|&w| w == 0.0 || w == 1.0) {
+            let is_decided = kept.iter().all(|&w| w == 0.0 || w == 1.0);
+            if is_decided && n_unsettled == 0 && kept == before {
                 break;
             }
-            if is_settled {
+            let is_settled = graph.optimize(&weights(&kept), &mut poses) < SETTLED;
+            chi2 = chi2_of(&poses);
+            n_unsettled = if is_settled { 0 } else { n_unsettled + 1 };
+            if is_settled || MAX_UNSETTLED <= n_unsettled {
                 control *= GROWTH;
+                n_rounds += 1;
             }
         }
     }
@@ -113,7 +124,7 @@ struct Graduated<'a> {
 const MAX_IDLE_SHARE: f64 = 0.01;
 /// The end of a round.
 const OF_ROUND: Ends = Ends { max_steps: 3, converged: 1e-4 };
-/// The next round has another control parameter if the last step took away a smaller share of the cost than this.
+/// A round is settled if its last step took away a smaller share of the cost than this.
 const SETTLED: f64 = 0.1;
 
 impl<'a> Graduated<'a> {

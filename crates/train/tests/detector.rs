@@ -159,6 +159,26 @@ fn enough_places_are_compared_to_find_the_right_ones() {
     assert_eq!(fitted.detector.n_candidates, 6);
 }
 
+/// Places of a log of which the last `n_late` find their right candidate at rank 8, the others at rank 0.
+fn with_late_places(n: u64, n_late: u64) -> LogEvidence {
+    let of_place =
+        |k| candidate(k, if k < n - n_late { 0 } else { 8 }, true, evidence(0.8, 0.9, 0.02));
+    of((0..n).map(of_place).collect())
+}
+
+/// One of 24 places of a short log is found late, which is within the standard error. 8 of 36 are not. Where a
+/// log has a single place, which counts as much as all of the other log, the standard error says nothing.
+#[test]
+fn a_single_place_of_a_short_log_adds_no_candidates() {
+    for (first, second, expected) in [
+        (with_late_places(24, 1), with_late_places(36, 0), 3),
+        (with_late_places(24, 1), with_late_places(36, 8), 9),
+        (with_late_places(1, 0), with_late_places(24, 2), 9),
+    ] {
+        assert_eq!(fit(&[first, second]).detector.n_candidates, expected);
+    }
+}
+
 /// Without wrong candidates, nothing is known about how much evidence they can have.
 #[test]
 fn without_wrong_candidates_the_decisions_keep_their_starting_values() {

@@ -17,9 +17,10 @@ const LEAST: u32 = 3;
 /// the places with a right candidate, those with one among the first `n`. It cannot exceed the number
 /// that `detect` compared.
 ///
-/// Nearly means that the share is not less than [`ENOUGH`] by more than its standard error (the one-standard-error
-/// rule, Breiman, Friedman, Olshen and Stone 1984, "Classification and Regression Trees", section 3.4.3). A short drive
-/// has some dozen places, and a single one of them would otherwise add several candidates everywhere.
+/// Nearly means that the share is not less than [`ENOUGH`] by more than its standard error, like the one-standard-error
+/// rule of Breiman, Friedman, Olshen and Stone 1984, "Classification and Regression Trees", section 3.4.3. A short drive
+/// has some dozen places, and a single one of them would otherwise add several candidates everywhere. If the weights
+/// of few places decide, the standard error does not count.
 pub(super) fn fit(logs: &[Vec<Judged<'_>>]) -> Result<u32, NotFitted> {
     // The first rank of each place, and the weight of its log.
     let mut first_ranks: Vec<(u32, f64)> = Vec::new();
@@ -41,19 +42,30 @@ pub(super) fn fit(logs: &[Vec<Judged<'_>>]) -> Result<u32, NotFitted> {
     }
     let most = first_ranks.iter().map(|(rank, _)| rank + 1).max().unwrap_or(LEAST);
     let is_enough = |&n: &u32| {
-        let (share, standard_error) = share_before(n, &first_ranks);
-        ENOUGH <= share + standard_error
+        let Share { share, standard_error, n_equal } = share_before(n, &first_ranks);
+        let tolerance = if MIN_PLACES as f64 <= n_equal { standard_error } else { 0.0 };
+        ENOUGH <= share + tolerance
     };
     Ok((LEAST..most).find(is_enough).unwrap_or(most.max(LEAST)))
 }
 
-/// The weighted share of the ranks before `n`, and its standard error if they are independent.
-fn share_before(n: u32, ranks: &[(u32, f64)]) -> (f64, f64) {
+/// A weighted share.
+struct Share {
+    share: f64,
+    /// Its standard error, if the places are independent.
+    standard_error: f64,
+    /// Number of places of equal weight with the same standard error (Kish 1965, "Survey Sampling").
+    n_equal: f64,
+}
+
+/// The share of the ranks before `n`.
+fn share_before(n: u32, ranks: &[(u32, f64)]) -> Share {
     let total: f64 = ranks.iter().map(|(_, weight)| weight).sum();
     let before = ranks.iter().filter(|(rank, _)| *rank < n);
     let share = before.map(|(_, weight)| weight).sum::<f64>() / total;
     let squares: f64 = ranks.iter().map(|(_, weight)| weight * weight).sum();
-    (share, (squares * share * (1.0 - share)).max(0.0).sqrt() / total)
+    let n_equal = total * total / squares;
+    Share { share, standard_error: (share * (1.0 - share) / n_equal).max(0.0).sqrt(), n_equal }
 }
 
 #[cfg(test)]
@@ -62,15 +74,17 @@ mod tests {
 
     /// By hand: 24 places of a log, one of them found late, and 36 of another log, all found first.
     #[test]
-    fn one_place_of_a_short_log_is_within_the_standard_error() {
+    fn shares_have_the_standard_error_of_weighted_places() {
         let mut ranks = vec![(0, 1.0 / 24.0); 23];
         ranks.push((8, 1.0 / 24.0));
         ranks.extend(vec![(0, 1.0 / 36.0); 36]);
-        let (share, standard_error) = share_before(3, &ranks);
-        assert!((share - (1.0 - 1.0 / 48.0)).abs() < 1e-12);
+        let found = share_before(3, &ranks);
+        assert!((found.share - (1.0 - 1.0 / 48.0)).abs() < 1e-12);
         // sqrt((1/24 + 1/36) * 47/48 * 1/48) / 2
-        assert!((standard_error - 0.018_819).abs() < 1e-6, "{standard_error}");
-        let (share, standard_error) = share_before(9, &ranks);
-        assert!((share - 1.0).abs() < 1e-12 && standard_error < 1e-6);
+        assert!((found.standard_error - 0.018_819).abs() < 1e-6, "{}", found.standard_error);
+        // 4 / (1/24 + 1/36)
+        assert!((found.n_equal - 57.6).abs() < 1e-9, "{}", found.n_equal);
+        let all = share_before(9, &ranks);
+        assert!((all.share - 1.0).abs() < 1e-12 && all.standard_error < 1e-6);
     }
 }
