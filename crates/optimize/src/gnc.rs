@@ -2,17 +2,15 @@
 
 use dataset::Pose2;
 
-use crate::graph::{AT_OPTIMUM, Edge, Ends, Solver, cost};
+use crate::graph::{Edge, Solver, optimize};
 
 /// A closure whose squared error is above this value is rejected: the 99 % quantile of the chi-square
 /// distribution with 3 degrees of freedom.
 pub const MAX_CHI2: f64 = 11.344_866_730_144_373;
 /// Factor of the control parameter from round to round (Yang et al. 2020, section V).
 const GROWTH: f64 = 1.4;
-/// The most values of the control parameter.
+/// The most rounds.
 const MAX_ROUNDS: usize = 150;
-/// The most rounds in a row that keep it.
-const MAX_UNSETTLED: usize = 8;
 
 /// The result of a robust optimization.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,12 +25,8 @@ pub struct Robust {
 /// keep, with graduated non-convexity on the truncated least squares cost (Yang, Antonante, Tzoumas and
 /// Carlone 2020, "Graduated non-convexity for robust spatial perception", algorithm 1 and table II).
 ///
-/// Each round takes a few steps towards the optimum only, because the next one starts from there, with better
-/// weights. While the last step still takes away much of the cost, the next round keeps the control parameter.
-///
-/// In the end, the graph with the kept closures is optimized from `start` as well as from the last poses, and the better
-/// result counts: the last poses of a graduation that rejects everything can be bad, and `start` is far away after a
-/// long drive.
+/// In the end, the graph is optimized again from `start` with the kept closures, because the last poses
+/// of a graduation that rejects everything can be bad.
 pub fn reject_false_closures(odometry: &[Edge], closures: &[Edge], start: &[Pose2]) -> Robust {
     let shares = vec![1.0; closures.len()];
     let max_chi2 = vec![MAX_CHI2; closures.len()];
@@ -61,33 +55,22 @@ pub(crate) fn reject_outliers(
         |kept: &[f64]| -> Vec<f64> { kept.iter().zip(shares).map(|(k, s)| k * s).collect() };
     let mut graph = Graduated::new(trusted, doubted, start.len());
     let mut poses = start.to_vec();
-    for _ in 0..MAX_UNSETTLED {
-        if graph.optimize(&weights(&kept), &mut poses) < SETTLED {
-            break;
-        }
-    }
+    graph.optimize(&weights(&kept), &mut poses);
     let chi2_of = |poses: &[Pose2]| -> Vec<f64> { doubted.iter().map(|c| c.chi2(poses)).collect() };
     let mut chi2 = chi2_of(&poses);
     let worst = chi2.iter().zip(max_chi2).max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
     if let Some((largest, max)) = worst.filter(|(chi2, max)| max < chi2) {
         let mut control = max / (2.0 * largest - max);
-        let (mut n_rounds, mut n_unsettled) = (0, 0);
-        while n_rounds < MAX_ROUNDS {
-            let before = kept.clone();
+        for _ in 0..MAX_ROUNDS {
             for (k, weight) in kept.iter_mut().enumerate() {
                 *weight = truncated_weight(chi2[k], control, max_chi2[k]);
             }
-            let is_decided = kept.iter().all(|&w| w == 0.0 || w == 1.0);
-            if is_decided && n_unsettled == 0 && kept == before {
+            graph.optimize(&weights(&kept), &mut poses);
+            chi2 = chi2_of(&poses);
+            if kept.iter().all(|&w| w == 0.0 || w == 1.0) {
                 break;
             }
-            let is_settled = graph.optimize(&weights(&kept), &mut poses) < SETTLED;
-            chi2 = chi2_of(&poses);
-            n_unsettled = if is_settled { 0 } else { n_unsettled + 1 };
-            if is_settled || MAX_UNSETTLED <= n_unsettled {
-                control *= GROWTH;
-                n_rounds += 1;
-            }
+            control *= GROWTH;
         }
     }
     let is_kept: Vec<bool> = kept.iter().map(|&weight| weight > 0.5).collect();
@@ -95,19 +78,7 @@ pub(crate) fn reject_outliers(
     let weighted =
         weighted.map(|((edge, share), _)| Edge { information: edge.information * *share, ..*edge });
     let edges: Vec<Edge> = trusted.iter().copied().chain(weighted).collect();
-    Robust { poses: better_optimum(edges, [start, &poses]), is_kept }
-}
-
-/// The poses that agree best with all edges, from several starts.
-fn better_optimum(edges: Vec<Edge>, starts: [&[Pose2]; 2]) -> Vec<Pose2> {
-    let weights = vec![1.0; edges.len()];
-    let mut solver = Solver::new(starts[0].len(), edges);
-    let [(first_cost, first), (second_cost, second)] = starts.map(|start| {
-        let mut poses = start.to_vec();
-        solver.optimize(&weights, &mut poses, AT_OPTIMUM);
-        (cost(solver.edges(), &weights, &poses), poses)
-    });
-    if first_cost <= second_cost { first } else { second }
+    Robust { poses: optimize(&edges, start), is_kept }
 }
 
 /// The graph of the trusted edges, and of the doubtful ones that have a weight.
@@ -119,13 +90,10 @@ struct Graduated<'a> {
     solver: Solver,
 }
 
-/// Edges without weight are taken out when they are this share of all. A wrong one joins two places at random, and some
-/// per cent of them make the factor so dense that a step takes ten times as long.
-const MAX_IDLE_SHARE: f64 = 0.01;
-/// The end of a round.
-const OF_ROUND: Ends = Ends { max_steps: 3, converged: 1e-4 };
-/// A round is settled if its last step took away a smaller share of the cost than this.
-const SETTLED: f64 = 0.1;
+/// Edges without weight make each step slower. They are taken out when they are this share of all.
+const MAX_IDLE_SHARE: f64 = 0.1;
+/// A step that reduces the cost by a smaller share is the last one of a round.
+const CONVERGED: f64 = 1e-4;
 
 impl<'a> Graduated<'a> {
     fn new(trusted: &'a [Edge], doubtful: &'a [Edge], n_poses: usize) -> Self {
@@ -134,9 +102,8 @@ impl<'a> Graduated<'a> {
         Self { trusted, doubtful, members, solver: Solver::new(n_poses, edges) }
     }
 
-    /// Moves the poses towards the optimum with these weights of the doubtful edges. Returns the share of the cost that the
-    /// last step took away.
-    fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2]) -> f64 {
+    /// Optimizes the poses with these weights of the doubtful edges.
+    fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2]) {
         let with_weight: Vec<usize> = (0..weights.len()).filter(|&k| 0.0 < weights[k]).collect();
         let is_member = |k: &usize| self.members.binary_search(k).is_ok();
         let n_idle = self.members.len().saturating_sub(with_weight.len());
@@ -150,7 +117,7 @@ impl<'a> Graduated<'a> {
         }
         let mut of_edges = vec![1.0; self.trusted.len()];
         of_edges.extend(self.members.iter().map(|&k| weights[k]));
-        self.solver.optimize(&of_edges, poses, OF_ROUND)
+        self.solver.optimize(&of_edges, poses, CONVERGED);
     }
 }
 

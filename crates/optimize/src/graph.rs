@@ -52,17 +52,10 @@ impl Edge {
 
 /// Inverse variance of the pose that a graph is fixed at \[1/m^2, 1/rad^2\]: 0.1 mm.
 const ANCHOR: f64 = 1e8;
-/// When an optimization ends.
-#[derive(Clone, Copy)]
-pub(crate) struct Ends {
-    /// The most steps.
-    pub(crate) max_steps: usize,
-    /// A step that reduces the cost by a smaller share is the last one.
-    pub(crate) converged: f64,
-}
-
-/// The end of an optimization whose result counts.
-pub(crate) const AT_OPTIMUM: Ends = Ends { max_steps: 60, converged: 1e-7 };
+/// The most steps of an optimization.
+const MAX_STEPS: usize = 60;
+/// A step that reduces the cost by a smaller share is the last one.
+const CONVERGED: f64 = 1e-7;
 /// Damping of the first step, and the largest one before the optimization gives up.
 const FIRST_DAMPING: f64 = 1e-6;
 const MAX_DAMPING: f64 = 1e6;
@@ -88,11 +81,6 @@ impl Solver {
         Self { edges, anchors, system }
     }
 
-    /// The edges.
-    pub(crate) fn edges(&self) -> &[Edge] {
-        &self.edges
-    }
-
     /// Sets up the normal equations at the poses.
     fn linearize(&mut self, weights: &[f64], poses: &[Pose2]) {
         self.system.clear();
@@ -112,14 +100,13 @@ impl Solver {
         }
     }
 
-    /// Reduces the weighted cost with the method of Levenberg and Marquardt. Returns the share of the cost that the last
-    /// step took away.
-    pub(crate) fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2], ends: Ends) -> f64 {
+    /// Reduces the weighted cost with the method of Levenberg and Marquardt. A step that reduces it by a smaller
+    /// share than `converged` is the last one.
+    pub(crate) fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2], converged: f64) {
         let mut before = cost(&self.edges, weights, poses);
         let mut damping = FIRST_DAMPING;
-        let mut gained_share = 0.0;
-        for _ in 0..ends.max_steps {
-            gained_share = 0.0;
+        for _ in 0..MAX_STEPS {
+            let mut gained = None;
             while damping < MAX_DAMPING {
                 // Again for each damping: the factor takes the place of the equations. That needs no copy of them.
                 self.linearize(weights, poses);
@@ -128,7 +115,7 @@ impl Solver {
                     let after = cost(&self.edges, weights, &moved);
                     if after <= before {
                         poses.copy_from_slice(&moved);
-                        gained_share = (before - after) / (before + 1e-12);
+                        gained = Some(before - after);
                         before = after;
                         damping = (damping / 10.0).max(1e-12);
                         break;
@@ -136,11 +123,11 @@ impl Solver {
                 }
                 damping *= 10.0;
             }
-            if gained_share <= ends.converged {
-                break;
+            match gained {
+                Some(gain) if converged * (before + 1e-12) < gain => {}
+                _ => break,
             }
         }
-        gained_share
     }
 
     /// Covariances of all poses relative to the fixed pose of their part, in the frame of the map.
@@ -180,7 +167,7 @@ fn first_of_parts(n_poses: usize, edges: &[Edge]) -> Vec<usize> {
 pub fn optimize(edges: &[Edge], start: &[Pose2]) -> Vec<Pose2> {
     let mut poses = start.to_vec();
     let mut solver = Solver::new(start.len(), edges.to_vec());
-    solver.optimize(&vec![1.0; edges.len()], &mut poses, AT_OPTIMUM);
+    solver.optimize(&vec![1.0; edges.len()], &mut poses, CONVERGED);
     poses
 }
 

@@ -119,30 +119,6 @@ fn of_80_percent_wrong_closures_none_is_kept() {
     }
 }
 
-/// After 40 laps, the odometry is more than 10 m off: the first rounds are far from their optimum.
-#[test]
-fn a_long_drive_keeps_its_right_closures() {
-    let n = 3200;
-    let mut random = SplitMix64::new(11);
-    let truth = laps(n);
-    let (edges, start) = odometry(&truth, &mut random);
-    assert!(10.0 < worst_m(&start, &truth), "{}", worst_m(&start, &truth));
-    let mut closures: Vec<Edge> =
-        (0..n - 80).step_by(4).map(|k| right_closure(&truth, k, k + 80, &mut random)).collect();
-    let n_right = closures.len();
-    closures.extend((0..n_right / 2).map(|_| wrong_closure(n, &mut random)));
-    let found = reject_false_closures(&edges, &closures, &start);
-    let is_wrong = |edge: &Edge| 100.0 < edge.chi2(&truth);
-    let kept = |of: std::ops::Range<usize>| of.filter(|&k| found.is_kept[k]);
-    let (n_kept, n) = (kept(0..n_right).count(), closures.len());
-    let n_wrong = kept(n_right..n).filter(|&k| is_wrong(&closures[k])).count();
-    assert!(n_right * 97 / 100 <= n_kept && n_wrong == 0, "{n_kept} of {n_right}, {n_wrong} wrong");
-    let right: Vec<Edge> = edges.iter().chain(&closures[..n_right]).copied().collect();
-    let expected = optimize(&right, &found.poses);
-    let off_m = worst_m(&found.poses, &expected);
-    assert!(off_m < 0.2, "{off_m} m");
-}
-
 /// If nothing is kept, the poses are those of the odometry, whatever happened on the way.
 #[test]
 fn wrong_closures_alone_leave_the_odometry_as_it_is() {
