@@ -64,17 +64,16 @@ const EXPECTED: &str = "a table of poses has `stamp_ns`, `x_m`, `y_m` and `headi
 
 fn poses_of(batch: &RecordBatch) -> Result<Vec<(i64, Pose2)>, Wrong> {
     let stamps = column(batch, "stamp_ns", EXPECTED)?;
-    let of_type = |found: &DataType| {
-        Wrong::Column(format!(
-            "`stamp_ns` has type {found}, expected 64 bit whole numbers of nanoseconds"
-        ))
-    };
     let stamps = match stamps.data_type() {
         DataType::Int64 => stamps.as_primitive::<Int64Type>().clone(),
         DataType::Timestamp(TimeUnit::Nanosecond, _) => {
             stamps.as_primitive::<TimestampNanosecondType>().reinterpret_cast()
         }
-        other => return Err(of_type(other)),
+        other => {
+            return Err(Wrong::Column(format!(
+                "`stamp_ns` has type {other}, expected 64 bit whole numbers of nanoseconds"
+            )));
+        }
     };
     let [x_m, y_m, heading_rad] = ["x_m", "y_m", "heading_rad"].map(|name| {
         let values = column(batch, name, EXPECTED)?;

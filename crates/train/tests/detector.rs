@@ -159,7 +159,7 @@ fn enough_places_are_compared_to_find_the_right_ones() {
     assert_eq!(fitted.detector.n_candidates, 6);
 }
 
-/// Places of a log of which the last `n_late` find their right candidate at rank 8, the others at rank 0.
+/// A log with `n` places. The last `n_late` find their right candidate at rank 8, the others at rank 0.
 fn with_late_places(n: u64, n_late: u64) -> LogEvidence {
     let of_place =
         |k| candidate(k, if k < n - n_late { 0 } else { 8 }, true, evidence(0.8, 0.9, 0.02));

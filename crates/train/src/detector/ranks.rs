@@ -8,7 +8,7 @@ use super::{Judged, NotFitted};
 
 /// Fewer places with a right candidate do not give a recall to within 10 %.
 const MIN_PLACES: usize = 25;
-/// Share of the places that is enough, less one standard error. More candidates cost time and add wrong ones.
+/// This share of the places is enough, or less by one standard error. More candidates cost time and add wrong ones.
 const ENOUGH: f64 = 0.98;
 /// At least this number: a place of another building may look more like others.
 const LEAST: u32 = 3;
@@ -19,8 +19,8 @@ const LEAST: u32 = 3;
 ///
 /// Nearly means that the share is not less than [`ENOUGH`] by more than its standard error, like the one-standard-error
 /// rule of Breiman, Friedman, Olshen and Stone 1984, "Classification and Regression Trees", section 3.4.3. A short drive
-/// has some dozen places, and a single one of them would otherwise add several candidates everywhere. If the weights
-/// of few places decide, the standard error does not count.
+/// has some dozen places, and a single one of them would otherwise add several candidates everywhere. Where the
+/// weights make a few places decide, there is no such tolerance.
 pub(super) fn fit(logs: &[Vec<Judged<'_>>]) -> Result<u32, NotFitted> {
     // The first rank of each place, and the weight of its log.
     let mut first_ranks: Vec<(u32, f64)> = Vec::new();
