@@ -6,7 +6,6 @@ use std::sync::Arc;
 use dataset::{FULL_RING_DEG, Pose2, RangeLimits, Scan};
 use model::OdometryNoise;
 use nalgebra::Matrix3;
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::align::Weakness;
@@ -14,8 +13,8 @@ use crate::breaks::Scans;
 use crate::joint::{JointOptions, JointScans, align_jointly, pairs_along_path};
 use crate::matcher::{Matched, MatcherOptions, ScanMatcher, is_decided};
 use crate::odometry::OdometryModel;
-use crate::points::Points;
 use crate::source::{DriveScan, HeldScans, ScanSource, Stretch};
+use crate::stretches::match_drive;
 
 /// How a drive is registered.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -301,9 +300,6 @@ pub fn register_drive(
     starts.zip(ends).flat_map(of_part).collect()
 }
 
-/// The points of this many scans are computed in parallel while those before them are matched, one after the other.
-const SCANS_AT_ONCE: usize = 64;
-
 /// Registers a drive as if it had no breaks, and finds them.
 fn register_continuous(
     scans: &dyn ScanSource,
@@ -314,22 +310,9 @@ fn register_continuous(
     assert_eq!(scans.len(), odometry.len(), "one pose per scan");
     let model = OdometryModel::of_pieces(scans, odometry, noise, options);
     let odometry = model.corrected_poses(odometry);
-    let mut matcher = ScanMatcher::new(*options, *noise).with_usual_noise(model.noise);
-    let mut matched: Vec<Matched> = Vec::with_capacity(odometry.len());
-    let points_from = |first: usize| -> Vec<Points> {
-        let block = first..(first + SCANS_AT_ONCE).min(odometry.len());
-        block.into_par_iter().map(|k| scans.scan(k).points().clone()).collect()
-    };
-    let mut points = points_from(0);
-    while !points.is_empty() {
-        let next = matched.len() + points.len();
-        let of_block = odometry[matched.len()..].iter().zip(std::mem::take(&mut points));
-        let add = || of_block.map(|(odometry, points)| matcher.add(points, odometry)).collect();
-        let (block, following): (Vec<Matched>, _) = rayon::join(add, || points_from(next));
-        matched.extend(block);
-        points = following;
-    }
     let path_m = path_m(&odometry);
+    let matcher = || ScanMatcher::new(*options, *noise).with_usual_noise(model.noise);
+    let matched = match_drive(scans, &odometry, &path_m, options, &matcher);
     let is_used: Vec<bool> = matched.iter().map(|matched| matched.is_used).collect();
     let mut pairs = pairs_along_path(&path_m);
     pairs.retain(|&(earlier, later)| is_used[earlier] && is_used[later]);

@@ -64,6 +64,7 @@ mod points;
 mod source;
 mod sparse;
 mod still;
+mod stretches;
 mod submap;
 mod target;
 mod uncertainty;

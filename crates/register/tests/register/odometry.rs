@@ -124,3 +124,48 @@ fn scans_of_another_place_are_found() {
     assert_eq!(breaks(&|k| k % 2 == 0), [0; 0]);
     assert_eq!(breaks(&|k| 60 <= k), [60]);
 }
+
+/// Five laps with odometry whose heading drifts by chance. Long drives are matched in stretches of 512 scans. Where one
+/// follows the other, the poses are as good as within a stretch, and the weakest direction is in the frame of the map.
+#[test]
+fn the_stretches_of_a_long_drive_follow_each_other() {
+    let world = World::ring_corridor();
+    let truth: Vec<Pose2> = (0..5).flat_map(|_| lap()[1..].to_vec()).collect();
+    let mut random = SplitMix64::new(3);
+    let scans: Vec<Scan> =
+        truth.iter().map(|pose| world.scan(pose, 360, 0.01, &mut random)).collect();
+    let mut odometry = vec![truth[0]];
+    for pair in truth.windows(2) {
+        let step = pair[0].inverse() * pair[1];
+        let turn_rad = 0.1 * (random.unit() - 0.5);
+        let measured = Pose2 { heading_rad: step.heading_rad + turn_rad, ..step };
+        odometry.push(odometry[odometry.len() - 1] * measured);
+    }
+    let noise = Detector::starting_values().odometry;
+    let registered = register_drive(
+        &HeldScans::new(scans, LIMITS),
+        &odometry,
+        &noise,
+        &MatcherOptions::default(),
+    );
+    let error = |poses: &dyn Fn(usize) -> Pose2, k: usize| {
+        let between = |pose: &dyn Fn(usize) -> Pose2| pose(k - 3).inverse() * pose(k + 2);
+        between(&|k| truth[k]).inverse() * between(poses)
+    };
+    for k in [256, 512, 768, 1024] {
+        let found = error(&|k| registered[k].pose, k);
+        let error_m = found.x_m.hypot(found.y_m);
+        assert!(error_m < 0.02 && found.heading_rad.abs() < 0.005, "scan {k}: {found:?}");
+        let by_odometry = odometry[k].distance_m(&truth[k]);
+        assert!(1.0 < by_odometry, "scan {k}: {by_odometry} m");
+    }
+    // Along a side of the ring, the walls say less about the position along it.
+    for (k, scan) in registered.iter().enumerate().skip(1) {
+        let along = scan.weakness.unwrap().direction_rad - truth[k].heading_rad;
+        let is_straight = truth[k - 1].heading_difference_rad(&truth[k]) < 1e-6;
+        let is_middle = (20..40).contains(&(k % 240));
+        if is_straight && is_middle {
+            assert!(libm::sin(along).abs() < 0.2, "scan {k}: {along} rad");
+        }
+    }
+}
