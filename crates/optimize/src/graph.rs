@@ -52,10 +52,17 @@ impl Edge {
 
 /// Inverse variance of the pose that a graph is fixed at \[1/m^2, 1/rad^2\]: 0.1 mm.
 const ANCHOR: f64 = 1e8;
-/// The most steps of an optimization.
-const MAX_STEPS: usize = 60;
-/// A step that reduces the cost by a smaller share is the last one.
-const CONVERGED: f64 = 1e-7;
+/// When an optimization ends.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Limits {
+    /// A step that reduces the cost by a smaller share is the last one.
+    pub(crate) converged: f64,
+    /// The most steps.
+    pub(crate) max_steps: usize,
+}
+
+/// Limits of the optimization of a graph without wrong edges.
+const CLEAN: Limits = Limits { converged: 1e-7, max_steps: 60 };
 /// Damping of the first step, and the largest one before the optimization gives up.
 const FIRST_DAMPING: f64 = 1e-6;
 const MAX_DAMPING: f64 = 1e6;
@@ -100,12 +107,18 @@ impl Solver {
         }
     }
 
-    /// Reduces the weighted cost with the method of Levenberg and Marquardt. A step that reduces it by a smaller
-    /// share than `converged` is the last one.
-    pub(crate) fn optimize(&mut self, weights: &[f64], poses: &mut [Pose2], converged: f64) {
+    /// Reduces the weighted cost with the method of Levenberg and Marquardt. Returns the share of the cost that the
+    /// last step took away, 0 if no step reduced it.
+    pub(crate) fn optimize(
+        &mut self,
+        weights: &[f64],
+        poses: &mut [Pose2],
+        limits: &Limits,
+    ) -> f64 {
         let mut before = cost(&self.edges, weights, poses);
         let mut damping = FIRST_DAMPING;
-        for _ in 0..MAX_STEPS {
+        let mut share = 0.0;
+        for _ in 0..limits.max_steps {
             let mut gained = None;
             while damping < MAX_DAMPING {
                 // Again for each damping: the factor takes the place of the equations. That needs no copy of them.
@@ -115,7 +128,7 @@ impl Solver {
                     let after = cost(&self.edges, weights, &moved);
                     if after <= before {
                         poses.copy_from_slice(&moved);
-                        gained = Some(before - after);
+                        gained = Some((before - after) / (before + 1e-12));
                         before = after;
                         damping = (damping / 10.0).max(1e-12);
                         break;
@@ -123,11 +136,12 @@ impl Solver {
                 }
                 damping *= 10.0;
             }
-            match gained {
-                Some(gain) if converged * (before + 1e-12) < gain => {}
-                _ => break,
+            share = gained.unwrap_or(0.0);
+            if share <= limits.converged {
+                break;
             }
         }
+        share
     }
 
     /// Covariances of all poses relative to the fixed pose of their part, in the frame of the map.
@@ -167,7 +181,7 @@ fn first_of_parts(n_poses: usize, edges: &[Edge]) -> Vec<usize> {
 pub fn optimize(edges: &[Edge], start: &[Pose2]) -> Vec<Pose2> {
     let mut poses = start.to_vec();
     let mut solver = Solver::new(start.len(), edges.to_vec());
-    solver.optimize(&vec![1.0; edges.len()], &mut poses, CONVERGED);
+    solver.optimize(&vec![1.0; edges.len()], &mut poses, &CLEAN);
     poses
 }
 
