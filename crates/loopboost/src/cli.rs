@@ -3,7 +3,10 @@
 use std::path::PathBuf;
 
 use anyhow::Result;
-use clap::{Arg, ArgAction, ArgMatches, Args, FromArgMatches, Parser, Subcommand, ValueEnum};
+use clap::{
+    Arg, ArgAction, ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum,
+};
+use clap_complete::Shell;
 use evaluate::comparison::Comparison;
 
 use crate::config::{Config, usage};
@@ -18,7 +21,7 @@ use crate::score::ScoreArgs;
 use crate::stage::Stage;
 use crate::used_model::UsedModel;
 use crate::view::ViewArgs;
-use crate::{inspect, lineage, models, pipeline, stages};
+use crate::{inspect, lineage, models, pipeline, shell, stages};
 
 /// Turns the drive logs that robots record into loop-closure classifiers.
 ///
@@ -107,6 +110,16 @@ enum Command {
     Model {
         #[command(subcommand)]
         command: ModelCommand,
+    },
+    /// Print a script that completes commands and options in a shell
+    Completions {
+        /// The shell
+        shell: Shell,
+    },
+    /// Write the man pages of all commands into a folder
+    Man {
+        /// The folder; created if missing
+        folder: PathBuf,
     },
 }
 
@@ -315,6 +328,8 @@ impl Command {
                 out!("{}", serde_json::to_string_pretty(&schema)?);
                 Ok(Findings::default())
             }
+            Self::Completions { shell } => done(shell::completions(Cli::command(), shell)),
+            Self::Man { folder } => done(shell::man(Cli::command(), &folder)),
             Self::Model { command } => done(match command {
                 ModelCommand::List { folder } => models::list(&folder),
                 ModelCommand::Show { model } => models::show(&model),

@@ -52,6 +52,7 @@ mod run;
 mod scan_cache;
 mod score;
 mod scorer;
+mod shell;
 mod site_drives;
 mod site_frames;
 mod stage;
