@@ -58,7 +58,9 @@ pub(crate) fn match_drive(
 fn lead(path_m: &[f64], start: usize, options: &MatcherOptions) -> usize {
     let from_m = path_m[start] - LEAD * options.target_path_m;
     let most = (LEAD * f64::from(options.max_keyframes)).ceil() as usize;
-    path_m[..start].partition_point(|&m| m < from_m).max(start.saturating_sub(most))
+    let first = path_m[..start].partition_point(|&m| m < from_m);
+    // At least two scans, also after a jump of the odometry: without a common scan, the stretch could not be placed.
+    first.max(start.saturating_sub(most)).min(start.saturating_sub(2))
 }
 
 /// Matches consecutive scans, one after the other.
@@ -186,5 +188,9 @@ mod tests {
         assert_eq!(lead(&path_m, 0, &options), 0);
         assert_eq!(lead(&path_m, 10, &options), 0);
         assert_eq!(lead(&[0.0; 2000], 512, &options), 512 - 90);
+        // The odometry jumps by 50 m at the start of the stretch.
+        let with_jump: Vec<f64> =
+            path_m.iter().enumerate().map(|(k, m)| if k < 512 { *m } else { m + 50.0 }).collect();
+        assert_eq!(lead(&with_jump, 512, &options), 510);
     }
 }
