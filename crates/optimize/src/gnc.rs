@@ -38,12 +38,12 @@ pub struct Robust {
 /// Carlone 2020, "Graduated non-convexity for robust spatial perception", algorithm 1 and table II).
 ///
 /// The method finds a local minimum, and which one depends on the first poses. If it keeps less than half of the
-/// closures, it is tried again from other poses. Of the results, and of keeping nothing, the one with the smallest
+/// closures, it is tried again after more steps of the first optimization. Of the results, and of keeping nothing, the one with the smallest
 /// truncated cost is taken: the squared errors of the odometry and of the kept closures, and [`MAX_CHI2`] for each
 /// closure that is not kept.
 ///
 /// The poses are the better ones of two optimizations with the kept closures, from `start` and from the last poses of
-/// the graduation. Those of a graduation that rejects everything can be bad.
+/// the method, which can be bad if it rejects everything.
 pub fn reject_false_closures(odometry: &[Edge], closures: &[Edge], start: &[Pose2]) -> Robust {
     let shares = vec![1.0; closures.len()];
     let max_chi2 = vec![MAX_CHI2; closures.len()];
@@ -66,14 +66,12 @@ pub(crate) fn reject_outliers(
     doubtful: &Doubtful<'_>,
     start: &[Pose2],
 ) -> Robust {
-    let keep =
-        |is_kept: Vec<bool>, last: &[Pose2]| with_kept(trusted, doubtful, is_kept, [start, last]);
     let n = doubtful.edges.len();
-    let (mut lowest, mut best) = keep(vec![false; n], start);
+    let (mut lowest, mut best) = with_kept(trusted, doubtful, vec![false; n], &[start]);
     for first in &FIRST {
         let (last, is_kept) = graduate(trusted, doubtful, start, first);
         let n_kept = is_kept.iter().filter(|kept| **kept).count();
-        let (cost, robust) = keep(is_kept, &last);
+        let (cost, robust) = with_kept(trusted, doubtful, is_kept, &[start, &last]);
         if cost < lowest {
             (lowest, best) = (cost, robust);
         }
@@ -120,12 +118,12 @@ fn graduate(
     (poses, kept.iter().map(|&weight| weight > 0.5).collect())
 }
 
-/// The truncated cost of keeping these edges, and the poses: the better ones of the optimizations from two starts.
+/// The truncated cost of keeping these edges, and the poses: the best ones of the optimizations from these starts.
 fn with_kept(
     trusted: &[Edge],
     doubtful: &Doubtful<'_>,
     is_kept: Vec<bool>,
-    starts: [&[Pose2]; 2],
+    starts: &[&[Pose2]],
 ) -> (f64, Robust) {
     let mut edges = trusted.to_vec();
     let mut of_rejected = 0.0;
@@ -137,14 +135,15 @@ fn with_kept(
         }
     }
     let weights = vec![1.0; edges.len()];
-    let [(first_cost, first), (second_cost, second)] = starts.map(|start| {
+    let ends = starts.iter().map(|start| {
         let poses = optimize(&edges, start);
         (cost(&edges, &weights, &poses), poses)
     });
-    let (of_kept, poses) = match second_cost < first_cost {
-        true => (second_cost, second),
-        false => (first_cost, first),
+    let better = |best: (f64, Vec<Pose2>), next: (f64, Vec<Pose2>)| match next.0 < best.0 {
+        true => next,
+        false => best,
     };
+    let (of_kept, poses) = ends.reduce(better).unwrap_or_default();
     (of_kept + of_rejected, Robust { poses, is_kept })
 }
 
@@ -247,7 +246,7 @@ mod tests {
                 Doubtful { edges: &edges, shares: vec![1.0; n], max_chi2: vec![MAX_CHI2; n] };
             let [first, second] = FIRST.map(|limits| {
                 let (poses, is_kept) = graduate(&odometry, &doubtful, &start, &limits);
-                with_kept(&odometry, &doubtful, is_kept, [&start, &poses])
+                with_kept(&odometry, &doubtful, is_kept, &[&start, &poses])
             });
             let nothing =
                 (n as f64 * MAX_CHI2, Robust { poses: start.clone(), is_kept: vec![false; n] });

@@ -270,6 +270,7 @@ impl RegisterOptions {
 /// Registers a drive: learns the error of the odometry from pieces of the drive, matches each scan with
 /// those of the last metres, then aligns all of them together. `odometry` has the pose of the lidar at each scan.
 /// `noise` is the error of odometry in general; that of the drive is not larger. The result has one entry per scan.
+/// Stretches of a long drive are matched in parallel.
 ///
 /// Where the scans suddenly show another place ([`Registered::is_break`]), a new drive begins, which is registered by
 /// itself.

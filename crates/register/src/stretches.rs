@@ -35,10 +35,7 @@ pub(crate) fn match_drive(
     let starts: Vec<usize> = (0..odometry.len()).step_by(STRETCH).collect();
     let with_leads: Vec<(usize, Range<usize>)> = starts
         .iter()
-        .map(|&start| {
-            let lead = lead(path_m, start, options);
-            (start, lead..(start + STRETCH).min(odometry.len()))
-        })
+        .map(|&start| (start, lead(path_m, start, options)..(start + STRETCH).min(odometry.len())))
         .collect();
     let stretches: Vec<Vec<Matched>> = with_leads
         .par_iter()
@@ -47,9 +44,9 @@ pub(crate) fn match_drive(
     let mut matched: Vec<Matched> = Vec::with_capacity(odometry.len());
     for ((start, range), stretch) in with_leads.iter().zip(stretches) {
         let n_lead = start - range.start;
-        let (lead, rest) = stretch.split_at(n_lead);
-        let map_from_stretch = map_from_stretch(&matched[range.start..*start], lead);
-        matched.extend(rest.iter().map(|scan| moved(scan, &map_from_stretch)));
+        let (common, rest) = stretch.split_at(n_lead);
+        let placed = map_from_stretch(&matched[range.start..*start], common);
+        matched.extend(rest.iter().map(|scan| moved(scan, &placed)));
     }
     matched
 }
@@ -127,6 +124,7 @@ fn moved(scan: &Matched, map_from_stretch: &Pose2) -> Matched {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::points::length;
 
     fn pose(x_m: f64, y_m: f64, heading_rad: f64) -> Pose2 {
         Pose2 { x_m, y_m, heading_rad }
@@ -139,23 +137,18 @@ mod tests {
     /// A stretch with a frame of its own, whose first scans are off, and so is one of the others.
     #[test]
     fn most_of_the_common_scans_say_where_a_stretch_lies() {
-        let map_from_stretch = pose(40.0, -7.0, 2.5);
+        let expected = pose(40.0, -7.0, 2.5);
         let in_stretch: Vec<Matched> =
             (0..11).map(|k| matched(pose(0.4 * f64::from(k), 0.1, 0.02))).collect();
         let mut in_map: Vec<Matched> =
-            in_stretch.iter().map(|scan| matched(map_from_stretch * scan.pose)).collect();
+            in_stretch.iter().map(|scan| matched(expected * scan.pose)).collect();
         for k in [0, 1, 2, 3, 4, 8] {
             in_map[k].pose = in_map[k].pose * pose(0.5, 0.0, 0.1);
         }
-        let found = super::map_from_stretch(&in_map, &in_stretch);
-        let off = map_from_stretch.inverse() * found;
-        assert!(length(&off) < 1e-9 && off.heading_rad.abs() < 1e-9, "{off:?}");
+        let off = expected.inverse() * map_from_stretch(&in_map, &in_stretch);
+        assert!(length([off.x_m, off.y_m]) < 1e-9 && off.heading_rad.abs() < 1e-9, "{off:?}");
         // The first stretch has no scans in common with another one.
-        assert_eq!(super::map_from_stretch(&[], &[]), Pose2::default());
-    }
-
-    fn length(pose: &Pose2) -> f64 {
-        pose.x_m.hypot(pose.y_m)
+        assert_eq!(map_from_stretch(&[], &[]), Pose2::default());
     }
 
     /// A corridor along x in a stretch that is turned by 120 deg in the map.

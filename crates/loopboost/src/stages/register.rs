@@ -50,7 +50,7 @@ fn register(run: &Run, logs: &[(&LogFile, &Provenance)]) -> Result<Vec<Done>> {
         keyframes.extend(of_log.into_iter().map(|keyframe| keyframe.id));
         segments.extend(Segment::of_log(run, log)?);
     }
-    // The scans of a drive are matched one after the other, so drives are registered in parallel.
+    // A short drive is one stretch, which keeps a single thread busy, so drives are registered in parallel.
     let options = &run.config.register;
     let cache = &run.scan_cache;
     let register = |segment: &Segment| segment.register(cache, options, &keyframes);
