@@ -9,12 +9,13 @@ use crate::graph::{Edge, Limits, Solver, cost, optimize};
 pub const MAX_CHI2: f64 = 11.344_866_730_144_373;
 /// Factor of the control parameter from round to round (Yang et al. 2020, section V).
 const GROWTH: f64 = 1.4;
-/// The most rounds.
+/// The most rounds, and the most optimizations of a round.
 const MAX_ROUNDS: usize = 150;
-/// The optimization of a round ends after a few steps. The weights change in the next round anyway, and with many wrong
-/// edges each step is slow.
+const MAX_REPEATS: usize = 20;
+/// An optimization of a round ends after a few steps. The weights change anyway, and with many wrong edges each step is
+/// slow.
 const ROUND: Limits = Limits { converged: 1e-4, max_steps: 3 };
-/// The control parameter stays as it is while the last step of a round reduces the cost by a larger share.
+/// The control parameter stays as it is while the last step of an optimization reduces the cost by a larger share.
 const SETTLED: f64 = 0.1;
 /// Limits of the first optimization, with all edges, in the first and in the second attempt. Its poses decide which edges
 /// lose weight first, and where many wrong edges pull, they mean little.
@@ -38,9 +39,9 @@ pub struct Robust {
 /// Carlone 2020, "Graduated non-convexity for robust spatial perception", algorithm 1 and table II).
 ///
 /// The method finds a local minimum, and which one depends on the first poses. If it keeps less than half of the
-/// closures, it is tried again after more steps of the first optimization. Of the results, and of keeping nothing, the one with the smallest
-/// truncated cost is taken: the squared errors of the odometry and of the kept closures, and [`MAX_CHI2`] for each
-/// closure that is not kept.
+/// closures, or costs more than keeping nothing, it is tried again after more steps of the first optimization. Of the
+/// results, and of keeping nothing, the one with the smallest truncated cost is taken: the squared errors of the odometry
+/// and of the kept closures, and [`MAX_CHI2`] for each closure that is not kept.
 ///
 /// The poses are the better ones of two optimizations with the kept closures, from `start` and from the last poses of
 /// the method, which can be bad if it rejects everything.
@@ -69,45 +70,52 @@ pub(crate) fn reject_outliers(
     let n = doubtful.edges.len();
     let (mut lowest, mut best) = with_kept(trusted, doubtful, vec![false; n], &[start]);
     for first in &FIRST {
-        let (last, is_kept) = graduate(trusted, doubtful, start, first);
-        let n_kept = is_kept.iter().filter(|kept| **kept).count();
-        let (cost, robust) = with_kept(trusted, doubtful, is_kept, &[start, &last]);
-        if cost < lowest {
+        let attempt = graduate(trusted, doubtful, start, first);
+        let n_kept = attempt.is_kept.iter().filter(|kept| **kept).count();
+        let (cost, robust) = with_kept(trusted, doubtful, attempt.is_kept, &[start, &attempt.last]);
+        let is_best = cost < lowest;
+        if is_best {
             (lowest, best) = (cost, robust);
         }
-        if MOST * n as f64 <= n_kept as f64 {
+        if is_best && MOST * n as f64 <= n_kept as f64 || attempt.has_settled_first {
             break;
         }
     }
     best
 }
 
-/// Decides which doubtful edges to keep, starting with an optimization of these limits. Also returns the last poses.
-fn graduate(
-    trusted: &[Edge],
-    doubtful: &Doubtful<'_>,
-    start: &[Pose2],
-    first: &Limits,
-) -> (Vec<Pose2>, Vec<bool>) {
+/// An attempt to find the doubtful edges that are right.
+struct Attempt {
+    is_kept: Vec<bool>,
+    /// The poses at its end.
+    last: Vec<Pose2>,
+    /// The first optimization ended before its last step, so that more steps would change nothing.
+    has_settled_first: bool,
+}
+
+/// Decides which doubtful edges to keep, starting with an optimization of these limits.
+fn graduate(trusted: &[Edge], doubtful: &Doubtful<'_>, start: &[Pose2], first: &Limits) -> Attempt {
     let Doubtful { edges: doubted, shares, max_chi2 } = doubtful;
     let mut kept = vec![1.0; doubted.len()];
     let mut graph = Graduated::new(trusted, doubted, start.len());
     let mut poses = start.to_vec();
-    graph.optimize(shares, &mut poses, first);
+    let has_settled_first = graph.optimize(shares, &mut poses, first) <= first.converged;
     let chi2_of = |poses: &[Pose2]| -> Vec<f64> { doubted.iter().map(|c| c.chi2(poses)).collect() };
     let mut chi2 = chi2_of(&poses);
     let worst = chi2.iter().zip(max_chi2).max_by(|a, b| (a.0 / a.1).total_cmp(&(b.0 / b.1)));
     if let Some((largest, max)) = worst.filter(|(chi2, max)| max < chi2) {
         let mut control = max / (2.0 * largest - max);
         for _ in 0..MAX_ROUNDS {
-            for (k, weight) in kept.iter_mut().enumerate() {
-                *weight = truncated_weight(chi2[k], control, max_chi2[k]);
-            }
-            let weights: Vec<f64> = kept.iter().zip(shares).map(|(k, s)| k * s).collect();
-            let last_gain = graph.optimize(&weights, &mut poses, &ROUND);
-            chi2 = chi2_of(&poses);
-            if SETTLED < last_gain {
-                continue;
+            for _ in 0..MAX_REPEATS {
+                for (k, weight) in kept.iter_mut().enumerate() {
+                    *weight = truncated_weight(chi2[k], control, max_chi2[k]);
+                }
+                let weights: Vec<f64> = kept.iter().zip(shares).map(|(k, s)| k * s).collect();
+                let last_gain = graph.optimize(&weights, &mut poses, &ROUND);
+                chi2 = chi2_of(&poses);
+                if last_gain <= SETTLED {
+                    break;
+                }
             }
             if kept.iter().all(|&w| w == 0.0 || w == 1.0) {
                 break;
@@ -115,7 +123,8 @@ fn graduate(
             control *= GROWTH;
         }
     }
-    (poses, kept.iter().map(|&weight| weight > 0.5).collect())
+    let is_kept = kept.iter().map(|&weight| weight > 0.5).collect();
+    Attempt { is_kept, last: poses, has_settled_first }
 }
 
 /// The truncated cost of keeping these edges, and the poses: the best ones of the optimizations from these starts.
@@ -174,7 +183,9 @@ impl<'a> Graduated<'a> {
         {
             let doubtful = with_weight.iter().map(|&k| &self.doubtful[k]);
             let edges = self.trusted.iter().chain(doubtful).copied().collect();
+            let damping = self.solver.damping;
             self.solver = Solver::new(poses.len(), edges);
+            self.solver.damping = damping;
             self.members = with_weight;
         }
         let mut of_edges = vec![1.0; self.trusted.len()];
@@ -208,8 +219,8 @@ mod tests {
     }
 
     /// Odometry edges of three rounds along a square of 40 m, the poses that they add up to, and closures: 20 right ones
-    /// between the first two rounds, and 400 wrong ones.
-    fn drive(random: &mut SplitMix64) -> (Vec<Edge>, Vec<Pose2>, Vec<Edge>) {
+    /// between the first two rounds, and then wrong ones.
+    fn drive(random: &mut SplitMix64, n_wrong: usize) -> (Vec<Edge>, Vec<Pose2>, Vec<Edge>) {
         let (mut truth, mut start) = (vec![Pose2::default()], vec![Pose2::default()]);
         let mut odometry = Vec::new();
         for k in 1..240 {
@@ -225,7 +236,7 @@ mod tests {
             let measured = truth[a].inverse() * truth[a + 80] * within(random, 0.08, 0.015);
             closures.push(Edge::independent(a, a + 80, measured, 0.05, 0.01));
         }
-        for _ in 0..400 {
+        for _ in 0..n_wrong {
             let b = 40 + random.below(200);
             let a = random.below(b as u64 - 30);
             let measured = within(random, 2.0, 3.0);
@@ -240,13 +251,13 @@ mod tests {
     fn the_result_with_the_smallest_cost_is_taken() {
         let mut n_best = [0; 3];
         for seed in 0..20 {
-            let (odometry, start, edges) = drive(&mut SplitMix64::new(seed));
+            let (odometry, start, edges) = drive(&mut SplitMix64::new(seed), 400);
             let n = edges.len();
             let doubtful =
                 Doubtful { edges: &edges, shares: vec![1.0; n], max_chi2: vec![MAX_CHI2; n] };
             let [first, second] = FIRST.map(|limits| {
-                let (poses, is_kept) = graduate(&odometry, &doubtful, &start, &limits);
-                with_kept(&odometry, &doubtful, is_kept, &[&start, &poses])
+                let attempt = graduate(&odometry, &doubtful, &start, &limits);
+                with_kept(&odometry, &doubtful, attempt.is_kept, &[&start, &attempt.last])
             });
             let nothing =
                 (n as f64 * MAX_CHI2, Robust { poses: start.clone(), is_kept: vec![false; n] });
@@ -264,5 +275,17 @@ mod tests {
             }
         }
         assert!(n_best.iter().all(|n| 0 < *n), "{n_best:?}");
+    }
+
+    /// Most closures are right. One attempt finds them, and its poses are those of a graph without the wrong ones.
+    #[test]
+    fn right_closures_are_found_among_a_few_wrong_ones() {
+        let (odometry, start, closures) = drive(&mut SplitMix64::new(1), 6);
+        let found = reject_false_closures(&odometry, &closures, &start);
+        assert_eq!(found.is_kept, (0..26).map(|k| k < 20).collect::<Vec<_>>());
+        let right: Vec<Edge> = odometry.iter().chain(&closures[..20]).copied().collect();
+        for (found, expected) in found.poses.iter().zip(optimize(&right, &start)) {
+            assert!(found.distance_m(&expected) < 5e-3, "{found:?} {expected:?}");
+        }
     }
 }

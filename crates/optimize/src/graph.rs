@@ -63,8 +63,9 @@ pub(crate) struct Limits {
 
 /// Limits of the optimization of a graph without wrong edges.
 const CLEAN: Limits = Limits { converged: 1e-7, max_steps: 60 };
-/// Damping of the first step, and the largest one before the optimization gives up.
+/// Damping of the first step, the smallest one, and the largest one before the optimization gives up.
 const FIRST_DAMPING: f64 = 1e-6;
+const MIN_DAMPING: f64 = 1e-12;
 const MAX_DAMPING: f64 = 1e6;
 
 /// Edges between poses, with the structure of their normal equations.
@@ -73,6 +74,8 @@ pub(crate) struct Solver {
     /// The first pose of each connected part, which stays where it is.
     anchors: Vec<usize>,
     system: BlockSystem,
+    /// Damping of the next step.
+    pub(crate) damping: f64,
 }
 
 /// Sum of the weighted squared errors.
@@ -85,7 +88,7 @@ impl Solver {
     pub(crate) fn new(n_poses: usize, edges: Vec<Edge>) -> Self {
         let anchors = first_of_parts(n_poses, &edges);
         let system = BlockSystem::new(n_poses, edges.iter().map(|edge| (edge.a, edge.b)));
-        Self { edges, anchors, system }
+        Self { edges, anchors, system, damping: FIRST_DAMPING }
     }
 
     /// Sets up the normal equations at the poses.
@@ -108,7 +111,7 @@ impl Solver {
     }
 
     /// Reduces the weighted cost with the method of Levenberg and Marquardt. Returns the share of the cost that the
-    /// last step took away, 0 if no step reduced it.
+    /// last step took away, 0 if no step reduced it. Starts with the damping that the last optimization ended with.
     pub(crate) fn optimize(
         &mut self,
         weights: &[f64],
@@ -116,25 +119,27 @@ impl Solver {
         limits: &Limits,
     ) -> f64 {
         let mut before = cost(&self.edges, weights, poses);
-        let mut damping = FIRST_DAMPING;
         let mut share = 0.0;
         for _ in 0..limits.max_steps {
             let mut gained = None;
-            while damping < MAX_DAMPING {
+            while self.damping < MAX_DAMPING {
                 // Again for each damping: the factor takes the place of the equations. That needs no copy of them.
                 self.linearize(weights, poses);
-                if let Some(step) = self.system.solve_in_place(damping) {
+                if let Some(step) = self.system.solve_in_place(self.damping) {
                     let moved: Vec<Pose2> = poses.iter().zip(&step).map(apply).collect();
                     let after = cost(&self.edges, weights, &moved);
                     if after <= before {
                         poses.copy_from_slice(&moved);
                         gained = Some((before - after) / (before + 1e-12));
                         before = after;
-                        damping = (damping / 10.0).max(1e-12);
+                        self.damping = (self.damping / 10.0).max(MIN_DAMPING);
                         break;
                     }
                 }
-                damping *= 10.0;
+                self.damping *= 10.0;
+            }
+            if gained.is_none() {
+                self.damping = FIRST_DAMPING;
             }
             share = gained.unwrap_or(0.0);
             if share <= limits.converged {

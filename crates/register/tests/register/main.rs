@@ -3,5 +3,6 @@
 mod joint;
 mod matching;
 mod odometry;
+mod stretches;
 mod submaps;
 mod world;

@@ -18,7 +18,7 @@ fn noise() -> OdometryNoise {
 const LIMITS: RangeLimits = RangeLimits { min_m: 0.1, max_m: 25.0 };
 
 /// Odometry of a drive: each step is scaled by `scale`, and the heading drifts by `bias_deg_per_m`.
-fn drifting(truth: &[Pose2], scale: f64, bias_deg_per_m: f64) -> Vec<Pose2> {
+pub fn drifting(truth: &[Pose2], scale: f64, bias_deg_per_m: f64) -> Vec<Pose2> {
     let mut odometry = vec![truth[0]];
     for pair in truth.windows(2) {
         let step = pair[0].inverse() * pair[1];
