@@ -25,14 +25,19 @@ fn inspect_and_ingest_name_the_format_of_a_file_and_the_command_that_reads_it() 
             "`loopboost import {in} --out {stem}.mcap`",
         ),
         ("e.pcapng", b"\x0A\x0D\x0D\x0A", "capture (pcapng)", "`loopboost import {in} --out"),
-        ("f.bag", b"#ROSBAG V2.0\n", "is a ROS 1 bag", "`mcap convert {in} {stem}.mcap`"),
-        ("g.db3", b"SQLite format 3\0", "an SQLite database", "`mcap convert {in} {stem}.mcap`"),
+        ("f.bag", b"#ROSBAG V2.0\n", "is a ROS 1 bag", "`loopboost import {in} --out {stem}.mcap`"),
+        (
+            "g.db3",
+            b"SQLite format 3\0",
+            "an SQLite database",
+            "`loopboost import {in} --out {stem}.mcap`",
+        ),
         ("h.rawlog", b"\x1F\x8B\x08", "an MRPT rawlog", "`rawlog-edit --info -i {in}`"),
         (
             "k.mcap",
             b"#ROSBAG V2.0\n",
             "is a ROS 1 bag",
-            "`mcap convert {in} {stem}.converted.mcap`",
+            "`loopboost import {in} --out {stem}.converted.mcap`",
         ),
         ("i", b"\x8DCSensoryFrame\x02", "an MRPT rawlog", "`rawlog-edit --info -i {in}`"),
         ("j.log", CARMEN, "is a CARMEN log", "`loopboost import {in} --out {stem}.mcap`"),
@@ -63,9 +68,9 @@ fn a_folder_with_other_recordings_names_them() {
     let bag = folder("bag", "bag_0.mcap.zstd", ZSTD);
     loopboost(&["inspect", &bag]).expect(1).says(&["bag_0.mcap.zstd is not", "`zstd -d "]);
     let sqlite = folder("sqlite", "bag_0.db3", b"SQLite format 3\0");
-    loopboost(&["inspect", &sqlite]).expect(1).says(&["a folder with bag_0.db3", "`mcap convert "]);
+    loopboost(&["inspect", &sqlite]).expect(1).says(&["is a ROS 2 bag", "`loopboost import "]);
     let logs = format!("ingest.logs=[{sqlite:?}]");
-    workplace.command("ingest", "out", &["--set", &logs]).expect(1).says(&["`mcap convert "]);
+    workplace.command("ingest", "out", &["--set", &logs]).expect(1).says(&["`loopboost import "]);
     let nclt = folder("nclt", "groundtruth_2013-01-10.csv", b"1,2,3\n");
     loopboost(&["inspect", &nclt]).expect(1).says(&["is NCLT data", "`loopboost import "]);
 }

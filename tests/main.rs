@@ -6,6 +6,7 @@
     reason = "a test may panic and prints its results"
 )]
 
+mod bags;
 mod batch;
 mod carried;
 mod compare;

@@ -264,6 +264,9 @@ codes! {
         /// A scan from which no features can be computed.
         Warning "unusable_scans" UnusableScans
             => "scan{s} with fewer than 3 returns or all returns on one line";
+        /// A scan covers less than a full circle, unlike most scans of its log.
+        Info "partial_scans" PartialScans
+            => "scan{s} with less than a full circle, in a log of full circles, not used as keyframes";
 
         // Import: rows and lines.
 
@@ -337,6 +340,30 @@ codes! {
             /// The first word of the line.
             keyword: String,
         } => "malformed {keyword} line{s}";
+
+        // Import: bags.
+
+        /// A bag ends within a record.
+        Warning "truncated_bag" TruncatedBag
+            => "bag{s} cut off within a record (complete chunks are kept)";
+        /// A bag is damaged.
+        Warning "damaged_bag" DamagedBag {
+            /// Where the damage starts.
+            at_byte: u64,
+        } => "bag{s} damaged at byte {at_byte} (earlier messages are kept)";
+        /// A chunk of a bag is damaged.
+        Warning "damaged_bag_chunks" DamagedBagChunks
+            => "chunk{s} of a bag that cannot be unpacked (the other chunks are kept)";
+        /// A message of a bag cannot be unpacked.
+        Warning "damaged_messages" DamagedMessages => "message{s} that cannot be unpacked";
+        /// A message of a topic that the bag does not describe.
+        Warning "messages_without_connection" MessagesWithoutConnection
+            => "message{s} of a topic that the bag does not describe";
+        /// A bag has no definition of a message type.
+        Info "types_without_definition" TypesWithoutDefinition {
+            /// The message type.
+            message_type: String,
+        } => "topic{s} of type {message_type}, which the bag does not define";
 
         // Import: captures.
 

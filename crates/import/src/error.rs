@@ -19,7 +19,9 @@ pub enum ImportError {
         source: io::Error,
     },
     /// No input was given.
-    #[error("no input; expected a network capture, an NCLT folder or file, or a CARMEN log")]
+    #[error(
+        "no input; expected a network capture, a ROS bag, an NCLT folder or file, or a CARMEN log"
+    )]
     NoInput,
     /// The format of a file or folder is not known.
     #[error("cannot import {}: found {found}, expected {expected}", path.display())]
@@ -69,6 +71,20 @@ pub enum ImportError {
         path: PathBuf,
         /// The addresses of the sensors.
         addresses: String,
+    },
+    /// A selected topic is not in the bags.
+    #[error("no topic {missing}; the topics are {found}")]
+    NoTopic {
+        /// The selected topics that do not exist.
+        missing: String,
+        /// The topics of the bags.
+        found: String,
+    },
+    /// Topics can be selected from bags only.
+    #[error("{format} has no topics to select; leave out `--topic`")]
+    TopicsOfOtherFormat {
+        /// The format of the inputs.
+        format: Format,
     },
     /// Nothing in the recording could be used.
     #[error("{inputs}: nothing to import: found {found}, expected {expected}")]

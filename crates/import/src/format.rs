@@ -9,6 +9,10 @@ pub enum Format {
     Nclt,
     /// A log of CARMEN, the Carnegie Mellon Robot Navigation Toolkit.
     Carmen,
+    /// A bag of ROS 1.
+    Bag,
+    /// A bag of ROS 2 with SQLite storage: its folder, or its files.
+    Bag2,
 }
 
 impl Format {
@@ -18,6 +22,8 @@ impl Format {
             Self::Pcap => "pcap",
             Self::Nclt => "nclt",
             Self::Carmen => "carmen",
+            Self::Bag => "bag",
+            Self::Bag2 => "bag2",
         }
     }
 }
@@ -28,6 +34,8 @@ impl fmt::Display for Format {
             Self::Pcap => "a network capture",
             Self::Nclt => "NCLT data",
             Self::Carmen => "a CARMEN log",
+            Self::Bag => "a ROS 1 bag",
+            Self::Bag2 => "a ROS 2 bag",
         })
     }
 }

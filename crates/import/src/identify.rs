@@ -19,8 +19,10 @@ pub struct Recording {
 /// is named by its first file with a known format.
 pub fn identify(path: &Path) -> Option<Recording> {
     if path.is_dir() {
-        if matches!(sniff(path), Ok(Format::Nclt)) {
-            return Some(importable("NCLT data", path));
+        match sniff(path) {
+            Ok(Format::Nclt) => return Some(importable("NCLT data", path)),
+            Ok(Format::Bag2) => return Some(importable("a ROS 2 bag", path)),
+            _ => {}
         }
         let files = entries(path).ok()?.into_iter().filter(|path| path.is_file());
         return files.take(MAX_FILES).find_map(|file| {
@@ -38,6 +40,8 @@ pub fn identify(path: &Path) -> Option<Recording> {
             Format::Pcap => "a network capture (pcap)",
             Format::Nclt => "a file of the NCLT data set",
             Format::Carmen => "a CARMEN log",
+            Format::Bag => "a ROS 1 bag",
+            Format::Bag2 => "an SQLite database, as in ROS 2 bags (.db3)",
         };
         return Some(importable(format, path));
     }
@@ -48,13 +52,7 @@ pub fn identify(path: &Path) -> Option<Recording> {
 const MAX_FILES: usize = 100;
 
 /// Formats that other programs read: first bytes, name, and a remedy with `{in}` and `{out}`.
-const MAGICS: [(&[u8], &str, &str); 12] = [
-    (b"#ROSBAG", "a ROS 1 bag", "convert it: `mcap convert {in} {out}`"),
-    (
-        b"SQLite format 3",
-        "an SQLite database, as in ROS 2 bags (.db3)",
-        "convert the bag: `mcap convert {in} {out}`, or `ros2 bag convert`",
-    ),
+const MAGICS: [(&[u8], &str, &str); 10] = [
     (b"\x28\xB5\x2F\xFD", "compressed with Zstandard", "decompress it: `zstd -d {in} -o {out}`"),
     (b"\x04\x22\x4D\x18", "compressed with LZ4", "decompress it: `lz4 -d {in} {out}`"),
     (b"\x1F\x8B", "compressed with gzip", "decompress it: `gzip -dc {in} > {out}`"),

@@ -20,6 +20,10 @@ impl Meter {
     pub fn bytes(&self) -> u64 {
         self.0.get()
     }
+
+    pub fn add(&self, n_bytes: u64) {
+        self.0.set(self.0.get() + n_bytes);
+    }
 }
 
 /// A file that counts the bytes read from it.
@@ -38,7 +42,7 @@ impl Metered {
 impl Read for Metered {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.file.read(buffer)?;
-        self.meter.0.set(self.meter.0.get() + n as u64);
+        self.meter.add(n as u64);
         Ok(n)
     }
 }

@@ -5,6 +5,8 @@
 //! | [`Format::Pcap`] | a network capture of a Velodyne sensor, libpcap or pcapng | `pcap/` |
 //! | [`Format::Nclt`] | raw files of the North Campus Long-Term data set | `nclt/` |
 //! | [`Format::Carmen`] | a log of the Carnegie Mellon Robot Navigation Toolkit | `carmen/` |
+//! | [`Format::Bag`] | a ROS 1 bag | `bag/ros1.rs` |
+//! | [`Format::Bag2`] | a ROS 2 bag with SQLite storage | `bag/ros2.rs` |
 //!
 //! Each reader streams its file from start to end. [`import`] merges the readers by time, and the
 //! memory that it needs does not grow with the length of the recording. Data that cannot be used is
@@ -12,7 +14,7 @@
 //! error states the place, what was found and what was expected. The same recording always gives
 //! the same bytes.
 //!
-//! All axes follow REP 103: x forward, y left, z up. In maps, x points east and y north if the
+//! The messages of bags are copied unchanged. In logs of other recordings, all axes follow REP 103: x forward, y left, z up. In maps, x points east and y north if the
 //! recording contains these directions.
 //!
 //! ```
@@ -34,6 +36,7 @@
 //! ```
 
 mod axes;
+mod bag;
 mod carmen;
 mod encode;
 mod error;
@@ -75,11 +78,11 @@ pub fn input_bytes(inputs: &[PathBuf]) -> Result<u64, ImportError> {
 }
 
 /// Writes a recording as an MCAP log: profile `ros2`, CDR messages, chunks of about 1 MB, with all
-/// schemas.
+/// schemas. The messages of bags stay as they are, with the profile `ros1` for bags of ROS 1.
 ///
-/// `inputs` are files of one format (several parts of a capture, or several files of an NCLT
-/// session) or an NCLT folder. Messages are sorted by log time. The log time is the time in the
-/// header. If that time steps back within a file, the log time stays at the latest time so far. The
+/// `inputs` are files of one format (several parts of a capture or of a bag, or several files of an NCLT
+/// session), or the folder of an NCLT session or of a ROS 2 bag. Messages are sorted by log time. The log time is the time in the
+/// header, for bags the time of the recording. If that time steps back within a file, the log time stays at the latest time so far. The
 /// header and the publish time keep the recorded time, and [`Imported::losses`] counts the message.
 ///
 /// `progress` is called with the number of bytes read so far.
@@ -91,6 +94,12 @@ pub fn import(
 ) -> Result<Imported, ImportError> {
     let (format, files) = sniff::files(inputs)?;
     let meter = Meter::default();
+    if matches!(format, Format::Bag | Format::Bag2) {
+        return bag::import(format, &files, options, out, &meter, progress);
+    }
+    if !options.select.is_empty() {
+        return Err(ImportError::TopicsOfOtherFormat { format });
+    }
     let mut losses = Losses::default();
     let mut notes = Vec::new();
     let mut sources = open(format, &files, options, &meter, &mut losses, &mut notes)?;
@@ -100,7 +109,7 @@ pub fn import(
     for source in &mut sources {
         heads.push(source.next(&mut losses)?);
     }
-    while let Some(earliest) = earliest(&heads) {
+    while let Some(earliest) = earliest(heads.iter().map(|head| Some(head.as_ref()?.stamp_ns))) {
         let next = sources[earliest].next(&mut losses)?;
         let record = std::mem::replace(&mut heads[earliest], next);
         writer.write(&record.expect("the earliest head is a record"), &mut losses)?;
@@ -110,11 +119,9 @@ pub fn import(
     writer.finish(&files, losses, notes)
 }
 
-/// The index of the head with the earliest stamp. Of equal stamps, the first.
-fn earliest(heads: &[Option<Record>]) -> Option<usize> {
-    let stamps =
-        heads.iter().enumerate().filter_map(|(k, head)| Some((head.as_ref()?.stamp_ns, k)));
-    stamps.min().map(|(_, k)| k)
+/// The index of the earliest stamp. Of equal stamps, the first.
+fn earliest(stamps: impl Iterator<Item = Option<i64>>) -> Option<usize> {
+    stamps.enumerate().filter_map(|(k, stamp)| Some((stamp?, k))).min().map(|(_, k)| k)
 }
 
 /// Opens a reader for each file.
@@ -135,6 +142,8 @@ fn open(
             }
         }
         Format::Nclt => sources = nclt::open(files, meter, losses)?,
+        // They are copied as they are.
+        Format::Bag | Format::Bag2 => {}
         Format::Carmen => {
             let mut after_ns = 0;
             for path in files {

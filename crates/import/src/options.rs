@@ -1,4 +1,5 @@
 use std::net::IpAddr;
+use std::path::PathBuf;
 
 /// The compression of the chunks of a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -25,6 +26,10 @@ pub struct Options {
     pub position_port: u16,
     /// Captures: the IP address of the sensor. Required if a capture contains several sensors.
     pub source_ip: Option<IpAddr>,
+    /// Bags: the topics that are imported. All of them if it is empty.
+    pub select: Vec<String>,
+    /// Bags: where packed files are unpacked. The folder of the system for temporary files if it is `None`.
+    pub scratch: Option<PathBuf>,
 }
 
 impl Default for Options {
@@ -37,6 +42,8 @@ impl Default for Options {
             udp_port: 2368,
             position_port: 8308,
             source_ip: None,
+            select: Vec::new(),
+            scratch: None,
         }
     }
 }

@@ -7,14 +7,15 @@ use std::path::{Path, PathBuf};
 use crate::error::ImportError;
 use crate::format::Format;
 use crate::input::{excerpt, file_name, read_full};
-use crate::{carmen, nclt, pcap};
+use crate::{bag, carmen, nclt, pcap};
 
 /// The number of bytes read to find the format of a file. A CARMEN log starts with some kilobytes
 /// of comments and parameters.
 const HEAD_BYTES: usize = 1 << 16;
 
-const EXPECTED: &str = "a libpcap or pcapng capture, an NCLT folder or file (velodyne_hits.bin, \
-    odometry_mu_100hz.csv, groundtruth_DATE.csv, ...), or a CARMEN log (FLASER, ROBOTLASER1, ODOM)";
+const EXPECTED: &str = "a libpcap or pcapng capture, a ROS 1 bag, a ROS 2 bag (.db3 or its folder), an NCLT \
+    folder or file (velodyne_hits.bin, odometry_mu_100hz.csv, groundtruth_DATE.csv, ...), or a CARMEN \
+    log (FLASER, ROBOTLASER1, ODOM)";
 
 /// Finds the format of a file or folder from its content.
 pub fn sniff(path: &Path) -> Result<Format, ImportError> {
@@ -25,6 +26,9 @@ pub fn sniff(path: &Path) -> Result<Format, ImportError> {
     };
     let metadata = fs::metadata(path).map_err(|source| ImportError::io("read", path, source))?;
     if metadata.is_dir() {
+        if bag::is_bag_folder(path) {
+            return Ok(Format::Bag2);
+        }
         let files = nclt_files(path)?;
         return match files.is_empty() {
             false => Ok(Format::Nclt),
@@ -51,13 +55,15 @@ pub(crate) fn sniff_head(path: &Path, head: &[u8]) -> Result<Format, String> {
     if nclt::is_hits(head) {
         return Ok(Format::Nclt);
     }
-    let not_importable: [(&[u8], &str); 6] = [
+    if head.starts_with(b"#ROSBAG") {
+        return Ok(Format::Bag);
+    }
+    let is_packed = bag::is_packed(path) && head.starts_with(b"\x28\xB5\x2F\xFD");
+    if head.starts_with(b"SQLite format 3\0") || is_packed {
+        return Ok(Format::Bag2);
+    }
+    let not_importable: [(&[u8], &str); 4] = [
         (b"\x89MCAP", "an MCAP file (it needs no import)"),
-        (b"#ROSBAG", "a ROS 1 bag (convert it with `mcap convert`)"),
-        (
-            b"SQLite format 3",
-            "an SQLite file, perhaps a ROS 2 bag (convert it with `mcap convert`)",
-        ),
         (b"\x1F\x8B", "gzip data (unpack it first)"),
         (b"PK\x03\x04", "a zip archive (unpack it first)"),
         (b"\x28\xB5\x2F\xFD", "Zstandard data (unpack it first)"),
@@ -113,7 +119,7 @@ fn folder_contents(folder: &Path) -> Result<String, ImportError> {
     })
 }
 
-/// The common format of all inputs, and their files. A folder stands for its NCLT files. A file
+/// The common format of all inputs, and their files. A folder stands for its NCLT files, or for the files of its bag. A file
 /// that is given twice is listed once.
 pub(crate) fn files(inputs: &[PathBuf]) -> Result<(Format, Vec<PathBuf>), ImportError> {
     let first = inputs.first().ok_or(ImportError::NoInput)?;
@@ -129,7 +135,11 @@ pub(crate) fn files(inputs: &[PathBuf]) -> Result<(Format, Vec<PathBuf>), Import
                 second_format,
             });
         }
-        let found = if input.is_dir() { nclt_files(input)? } else { vec![input.clone()] };
+        let found = match (input.is_dir(), format) {
+            (true, Format::Bag2) => bag::bag_files(input)?,
+            (true, _) => nclt_files(input)?,
+            (false, _) => vec![input.clone()],
+        };
         for file in found {
             if !files.contains(&file) {
                 files.push(file);

@@ -67,6 +67,56 @@ struct Channel {
     n_messages: u64,
 }
 
+/// Creates a log, and writes what it was made from.
+pub(crate) fn create_log<W: Write + Seek>(
+    out: W,
+    format: Format,
+    files: &[PathBuf],
+    options: &Options,
+) -> Result<Writer<W>, ImportError> {
+    let (compression, level) = match options.compression {
+        Compression::Zstd => (Some(mcap::Compression::Zstd), ZSTD_LEVEL),
+        Compression::Lz4 => (Some(mcap::Compression::Lz4), 0),
+        Compression::None => (None, 0),
+    };
+    let mut writer = WriteOptions::new()
+        .profile(if format == Format::Bag { "ros1" } else { "ros2" })
+        .library("loopboost import")
+        .compression(compression)
+        .compression_level(level)
+        // With threads, Zstandard splits its input, and the output has other bytes.
+        .compression_threads(0)
+        .chunk_size(Some(CHUNK_BYTES))
+        .create(out)?;
+    let names: Vec<_> = files.iter().map(|path| file_name(path)).collect();
+    writer.write_metadata(&Metadata {
+        name: "import".to_owned(),
+        metadata: [("format", format.name().to_owned()), ("files", names.join(", "))]
+            .map(|(key, value)| (key.to_owned(), value))
+            .into(),
+    })?;
+    Ok(writer)
+}
+
+/// The error of a recording without a message.
+pub(crate) fn nothing_to_import(format: Format, files: &[PathBuf], losses: &Losses) -> ImportError {
+    let names: Vec<_> = files.iter().map(|path| path.display().to_string()).collect();
+    let found = match losses.is_empty() {
+        true => "no data".to_owned(),
+        false => losses.to_string(),
+    };
+    let expected = match format {
+        Format::Pcap => {
+            "UDP datagrams of 1206 bytes from the selected sensor to its data port (2368, or the port \
+             given by `--udp-port`); set `--udp-port` to the port of the sensor"
+        }
+        Format::Nclt => "packets of velodyne_hits.bin, or rows of numbers",
+        Format::Carmen => "FLASER, RLASER, ROBOTLASER, RAWLASER, ODOM or TRUEPOS lines",
+        Format::Bag | Format::Bag2 => "messages",
+    };
+    ImportError::Empty { inputs: names.join(", "), found, expected }
+}
+
 impl<W: Write + Seek> LogWriter<W> {
     pub fn new(
         out: W,
@@ -74,27 +124,7 @@ impl<W: Write + Seek> LogWriter<W> {
         files: &[PathBuf],
         options: &Options,
     ) -> Result<Self, ImportError> {
-        let (compression, level) = match options.compression {
-            Compression::Zstd => (Some(mcap::Compression::Zstd), ZSTD_LEVEL),
-            Compression::Lz4 => (Some(mcap::Compression::Lz4), 0),
-            Compression::None => (None, 0),
-        };
-        let mut writer = WriteOptions::new()
-            .profile("ros2")
-            .library("loopboost import")
-            .compression(compression)
-            .compression_level(level)
-            // With threads, Zstandard splits its input, and the output has other bytes.
-            .compression_threads(0)
-            .chunk_size(Some(CHUNK_BYTES))
-            .create(out)?;
-        let names: Vec<_> = files.iter().map(|path| file_name(path)).collect();
-        writer.write_metadata(&Metadata {
-            name: "import".to_owned(),
-            metadata: [("format", format.name().to_owned()), ("files", names.join(", "))]
-                .map(|(key, value)| (key.to_owned(), value))
-                .into(),
-        })?;
+        let writer = create_log(out, format, files, options)?;
         Ok(Self {
             writer,
             format,
@@ -150,20 +180,7 @@ impl<W: Write + Seek> LogWriter<W> {
         notes: Vec<Note>,
     ) -> Result<Imported, ImportError> {
         let Some((start_ns, end_ns)) = self.range_ns else {
-            let names: Vec<_> = files.iter().map(|path| path.display().to_string()).collect();
-            let found = match losses.is_empty() {
-                true => "no data".to_owned(),
-                false => losses.to_string(),
-            };
-            let expected = match self.format {
-                Format::Pcap => {
-                    "UDP datagrams of 1206 bytes from the selected sensor to its data port (2368, \
-                     or the port given by `--udp-port`); set `--udp-port` to the port of the sensor"
-                }
-                Format::Nclt => "packets of velodyne_hits.bin, or rows of numbers",
-                Format::Carmen => "FLASER, RLASER, ROBOTLASER, RAWLASER, ODOM or TRUEPOS lines",
-            };
-            return Err(ImportError::Empty { inputs: names.join(", "), found, expected });
+            return Err(nothing_to_import(self.format, files, &losses));
         };
         self.writer.finish()?;
         let mut topics: Vec<_> = self

@@ -34,12 +34,11 @@ fn the_format_follows_from_the_content_not_the_name() {
 fn an_unknown_format_is_described_with_a_remedy() {
     let error = |name: &str, content: &[u8]| sniff_content(name, content).unwrap_err().to_string();
     assert!(error("a.mcap", b"\x89MCAP0\r\n").contains("found an MCAP file (it needs no import)"));
-    assert!(error("a.bag", b"#ROSBAG V2.0\n").contains("a ROS 1 bag (convert it"));
     assert!(error("a.gz", &[0x1F, 0x8B, 8]).contains("gzip data (unpack it first)"));
     assert!(error("a", b"").contains("found an empty file"));
     assert!(error("a.txt", b"Dear diary\n").contains("text that starts with `Dear diary`"));
     assert!(error("a.bin", &[0xFF, 0xFE, 0]).contains("starts with the bytes [ff, fe, 00]"));
-    assert!(error("a", b"x").contains("expected a libpcap or pcapng capture, an NCLT folder"));
+    assert!(error("a", b"x").contains("expected a libpcap or pcapng capture, a ROS 1 bag"));
 
     let folder = tempfile::tempdir().unwrap();
     assert!(sniff(folder.path()).unwrap_err().to_string().contains("an empty folder"));

@@ -16,13 +16,16 @@ use crate::run::progress_bar;
 
 #[derive(Args)]
 pub(crate) struct ImportArgs {
-    /// The files of one recording: Velodyne captures (pcap, pcapng), an NCLT folder or its files, or
-    /// CARMEN logs
+    /// The files of one recording: ROS 1 bags, a ROS 2 bag (its folder or .db3 files), Velodyne captures (pcap,
+    /// pcapng), an NCLT folder or its files, or CARMEN logs
     #[arg(required = true, value_name = "RECORDING")]
     inputs: Vec<PathBuf>,
     /// Log to write; must not exist
     #[arg(long, value_name = "LOG.mcap")]
     out: PathBuf,
+    /// Import this topic and no others (bags only; can be repeated)
+    #[arg(long, value_name = "NAME")]
+    topic: Vec<String>,
     /// Compression of the chunks
     #[arg(long, value_enum, default_value_t = CompressionArg::Zstd)]
     compression: CompressionArg,
@@ -65,6 +68,9 @@ impl ImportArgs {
             udp_port: self.udp_port,
             position_port: self.position_port,
             source_ip: self.source_ip,
+            select: self.topic.clone(),
+            // Unpacked files are large. They go where the log goes.
+            scratch: self.out.parent().filter(|folder| folder.is_dir()).map(Path::to_owned),
             ..Options::default()
         };
         let n_bytes = ::import::input_bytes(&self.inputs)?;

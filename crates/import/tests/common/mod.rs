@@ -57,6 +57,13 @@ pub fn import(files: &[(&str, &[u8])], options: &Options) -> Result<Log, ImportE
     import_paths(&paths, options)
 }
 
+/// Imports bags. Their messages can have any type.
+pub fn import_paths_as_they_are(paths: &[PathBuf], options: &Options) -> Result<Log, ImportError> {
+    let mut out = Cursor::new(Vec::new());
+    let imported = import::import(paths, options, &mut out, |_| {})?;
+    Ok(Log { imported, bytes: out.into_inner(), messages: Vec::new() })
+}
+
 pub fn import_paths(paths: &[PathBuf], options: &Options) -> Result<Log, ImportError> {
     let mut out = Cursor::new(Vec::new());
     let imported = import::import(paths, options, &mut out, |_| {})?;
