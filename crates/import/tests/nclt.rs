@@ -265,6 +265,26 @@ fn a_folder_becomes_one_log_sorted_by_time() {
     );
 }
 
+/// Without the file at 100 Hz: 1 m forward, then 2 m forward and 90 deg to the right, a row without values, and 3 m
+/// forward, which is to the right of where the robot started.
+#[test]
+fn motions_of_odometry_mu_are_summed() {
+    let turn = std::f64::consts::FRAC_PI_2;
+    let rows = format!(
+        "{},1,0,0,0,0,0\n{},2,0,0,0,0,{turn}\n{},nan,0,0,0,0,0\n{},3,0,0,0,0,0\n",
+        T0_US,
+        T0_US + 200_000,
+        T0_US + 300_000,
+        T0_US + 400_000
+    );
+    let log = import(&[("odometry_mu.csv", rows.as_bytes())], &Options::default()).unwrap();
+    let read = |message: &Message| read_odometry(message.source, &message.bytes).unwrap().pose;
+    let found: Vec<[f64; 3]> = log.of("/odom").map(|m| read(m).position).collect();
+    assert_eq!(found.len(), 3);
+    close(&found.concat(), &[1.0, 0.0, 0.0, 3.0, 0.0, 0.0, 3.0, -3.0, 0.0]);
+    assert_eq!(log.losses(Severity::Warning), [("rows_with_nan", 1)]);
+}
+
 #[test]
 fn odometry_and_ground_truth_have_z_up() {
     let log = session();

@@ -40,7 +40,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use dataset::{Keyframe, LossKind, Losses, NoPose, OutOfRange, Pose2, ScanId, Trajectory};
+use dataset::{
+    FULL_RING_DEG, Keyframe, LossKind, Losses, NoPose, OutOfRange, Pose2, ScanId, Trajectory,
+};
 use serde::{Deserialize, Serialize};
 
 /// The section `[subsample]`.
@@ -148,7 +150,9 @@ impl SubsampleError {
 ///
 /// Scans are visited in the order of their stamps, because stamps can go back in time in a log. A
 /// scan without a pose is dropped. If a scan is due to become a keyframe but is not usable, it is
-/// dropped and the next usable scan becomes the keyframe.
+/// dropped and the next usable scan becomes the keyframe. If most scans cover a full circle, those that do not
+/// are not usable: the recording began within a revolution, or packets are missing. Their features could not be
+/// compared with those of the others.
 ///
 /// Fails when an option is out of range, when there are no poses, when the robot never moves far
 /// enough, or when no scan could be kept.
@@ -166,6 +170,8 @@ pub fn subsample(
 
     let mut by_stamp: Vec<&Candidate> = candidates.iter().collect();
     by_stamp.sort_by_key(|candidate| (candidate.stamp_ns, candidate.scan));
+    let n_full = candidates.iter().filter(|scan| FULL_RING_DEG <= scan.coverage_deg).count();
+    let needs_full = candidates.len() < 2 * n_full;
     let mut keyframes: Vec<Keyframe> = Vec::new();
     let mut losses = Losses::default();
     for candidate in by_stamp {
@@ -195,6 +201,10 @@ pub fn subsample(
         };
         if !candidate.usable {
             losses.add(LossKind::UnusableScans, 1);
+            continue;
+        }
+        if needs_full && candidate.coverage_deg < FULL_RING_DEG {
+            losses.add(LossKind::PartialScans, 1);
             continue;
         }
         keyframes.push(Keyframe {
@@ -308,6 +318,34 @@ mod tests {
         check(&[0.0, 0.5, 1.0, 1.5], &[], &[(0, 0.0), (2, 0.5), (4, 1.0), (6, 1.5)]);
         // 0.375 m from one scan to the next: the second scan, at 0.75 m, is the first past 0.5 m.
         check(&[0.0, 0.75, 1.5], &[], &[(0, 0.0), (2, 0.75), (4, 1.5)]);
+    }
+
+    /// The robot drives 0.5 m per scan. Scans 0 and 3 have another coverage than the others.
+    #[test]
+    fn partial_scans_are_not_used_among_full_circles() {
+        let keyframes_of = |coverage_deg: f32, odd_deg: f32| {
+            let poses = (0..6).map(|k| {
+                let pose = Pose2 { x_m: 0.5 * k as f64, ..Pose2::default() };
+                StampedPose::new(k * 1_000_000_000, pose)
+            });
+            let (trajectory, _) = Trajectory::new(poses.collect());
+            let candidate = |scan: u32| Candidate {
+                scan,
+                stamp_ns: i64::from(scan) * 1_000_000_000,
+                coverage_deg: if scan % 3 == 0 { odd_deg } else { coverage_deg },
+                usable: true,
+            };
+            let candidates: Vec<_> = (0..6).map(candidate).collect();
+            let (log, site) = ("drive".into(), "site".into());
+            let options = Options::default();
+            let (keyframes, losses) =
+                subsample(&options, &log, &site, &candidates, &trajectory).unwrap();
+            (keyframes.iter().map(|k| k.id.scan).collect::<Vec<_>>(), losses.total())
+        };
+        assert_eq!(keyframes_of(360.0, 118.0), (vec![1, 2, 4, 5], 2));
+        assert_eq!(keyframes_of(180.0, 118.0), (vec![0, 1, 2, 3, 4, 5], 0));
+        // Most scans are partial: whether they can be used together is decided later.
+        assert_eq!(keyframes_of(180.0, 360.0), (vec![0, 1, 2, 3, 4, 5], 0));
     }
 
     #[test]

@@ -8,7 +8,8 @@
 //! | file | columns | written as |
 //! |---|---|---|
 //! | `velodyne_hits.bin` | see [`hits`] and [`hit`] | `PointCloud2`, one revolution per message |
-//! | `odometry_mu_100hz.csv` or `odometry_mu.csv` | utime, x, y, z \[m\], roll, pitch, heading \[rad\] | `Odometry` |
+//! | `odometry_mu_100hz.csv` | utime, x, y, z \[m\], roll, pitch, heading \[rad\] | `Odometry` |
+//! | `odometry_mu.csv`, if that one is missing | the same, since the row before | `Odometry`, the sum |
 //! | `wheels.csv` | utime, left, right \[m/s\] | `JointState` |
 //! | `ms25.csv` | utime, magnetic field x, y, z (not used), acceleration x, y, z \[m/s²\], rates about x, y, z \[rad/s\] | `Imu` |
 //! | `ms25_euler.csv` | utime, roll, pitch, heading \[rad\] | orientation of the `Imu` above |
@@ -103,7 +104,8 @@ pub(crate) fn open(
                 losses.add(loss(path, LossKind::SupersededFile { used }), 1);
                 continue;
             }
-            Kind::Odometry | Kind::Odometry100Hz => series::odometry(path, meter)?,
+            Kind::Odometry => Box::new(series::Motions::open(path, meter)?),
+            Kind::Odometry100Hz => series::odometry(path, meter)?,
             Kind::Wheels => series::wheels(path, meter)?,
             Kind::Ms25 => {
                 let euler = path_of(Kind::Euler).map(PathBuf::as_path);

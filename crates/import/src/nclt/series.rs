@@ -55,18 +55,52 @@ fn series<const N: usize>(
     Ok(Box::new(Series { table: Table::open(path, columns, meter)?, topic, convert }))
 }
 
-/// `odometry_mu.csv`: the integrated odometry, in its own frame.
+/// `odometry_mu_100hz.csv`: the integrated odometry, in its own frame.
 pub(super) fn odometry(path: &Path, meter: &Meter) -> Opened {
     let columns = "utime [us], x, y, z [m], roll, pitch, heading [rad]";
     series(path, columns, Topic::Odom, odometry_of, meter)
 }
 
 fn odometry_of(values: [f64; 6]) -> Converted {
+    Ok(Body::Odometry(flu_of(values)?, Twist::default()))
+}
+
+/// A pose with its axes and those of its frame pointing up.
+fn flu_of(values: [f64; 6]) -> Result<Isometry3<f64>, LossKind> {
     let [x, y, z, roll, pitch, heading] = finite(values)?;
     let frd = from_roll_pitch_heading(roll, pitch, heading);
     let position = Translation3::from(flu_from_frd([x, y, z]));
-    let pose = Isometry3::from_parts(position, FLU_FROM_FRD * frd * FLU_FROM_FRD);
-    Ok(Body::Odometry(pose, Twist::default()))
+    Ok(Isometry3::from_parts(position, FLU_FROM_FRD * frd * FLU_FROM_FRD))
+}
+
+/// `odometry_mu.csv`: the odometry as the motion from row to row, at the times of the images ("relative to the previous
+/// image event", Carlevaris-Bianco et al. 2016). The pose is the sum of the motions.
+pub(super) struct Motions {
+    table: Table<6>,
+    pose: Isometry3<f64>,
+}
+
+impl Motions {
+    pub fn open(path: &Path, meter: &Meter) -> Result<Self, ImportError> {
+        let columns = "utime [us], x, y, z [m], roll, pitch, heading [rad] since the row before";
+        Ok(Self { table: Table::open(path, columns, meter)?, pose: Isometry3::identity() })
+    }
+}
+
+impl Source for Motions {
+    fn next(&mut self, losses: &mut Losses) -> Result<Option<Record>, ImportError> {
+        while let Some(Row { stamp_ns, values }) = self.table.next(losses)? {
+            match flu_of(values) {
+                Ok(motion) => {
+                    self.pose *= motion;
+                    let body = Body::Odometry(self.pose, Twist::default());
+                    return Ok(Some(Record { topic: Topic::Odom, stamp_ns, body }));
+                }
+                Err(kind) => losses.add(self.table.loss(kind), 1),
+            }
+        }
+        Ok(None)
+    }
 }
 
 /// `groundtruth_DATE.csv`: the pose of the body in the map, converted from north-east-down to
