@@ -9,7 +9,9 @@ __all__ = ["Model", "Rows", "Table", "__version__", "feature_names", "featurize"
 
 __version__: str
 
-def feature_names(set: str) -> list[str]: ...
+def feature_names(set: str) -> list[str]:
+    """The names of the features of a set, in order."""
+
 def featurize(x_m: NDArray[Any], y_m: NDArray[Any], coverage_deg: float, set: str, gate_m: float) -> NDArray[Any]: ...
 def featurize_table(scans: Any, set: str, gate_m: float) -> Rows: ...
 def main(args: list[str]) -> int: ...
@@ -36,20 +38,31 @@ class Model:
 
 @final
 class Rows:
+    """Rows in memory."""
+
     def __len__(self) -> int: ...
     @property
-    def column_names(self) -> list[str]: ...
+    def column_names(self) -> list[str]:
+        """The names of the columns, in order."""
     @property
-    def messages(self) -> list[str]: ...
-    def __arrow_c_stream__(self, requested_schema: Any | None = None) -> Any: ...
+    def messages(self) -> list[str]:
+        """Losses and notes with their codes, as lines."""
+    def __arrow_c_stream__(self, requested_schema: Any | None = None) -> Any:
+        """The rows as a stream of the Arrow C interface."""
 
 @final
 class Table:
+    """Rows of one or more Parquet files with the same columns. They are read when they are needed."""
+
     def __new__(cls, files: Sequence[str | PathLike[str]]) -> Table: ...
     def __len__(self) -> int: ...
     @property
-    def column_names(self) -> list[str]: ...
+    def column_names(self) -> list[str]:
+        """The names of the columns, in order."""
     @property
-    def files(self) -> list[Path]: ...
-    def metadata(self) -> dict[Path, dict[str, str]]: ...
-    def __arrow_c_stream__(self, requested_schema: Any | None = None) -> Any: ...
+    def files(self) -> list[Path]:
+        """The files, in the order of their rows."""
+    def metadata(self) -> dict[Path, dict[str, str]]:
+        """What each file says about itself, by file and key."""
+    def __arrow_c_stream__(self, requested_schema: Any | None = None) -> Any:
+        """The rows as a stream of the Arrow C interface."""

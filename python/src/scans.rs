@@ -46,11 +46,13 @@ impl Rows {
         self.batches.iter().map(RecordBatch::num_rows).sum()
     }
 
+    /// The names of the columns, in order.
     #[getter]
     fn column_names(&self) -> Vec<&str> {
         column_names(&self.schema)
     }
 
+    /// Losses and notes with their codes, as lines.
     #[getter]
     fn messages(&self) -> &[String] {
         &self.messages

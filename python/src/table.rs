@@ -62,11 +62,13 @@ impl Table {
         self.n_rows
     }
 
+    /// The names of the columns, in order.
     #[getter]
     fn column_names(&self) -> Vec<&str> {
         column_names(&self.schema)
     }
 
+    /// The files, in the order of their rows.
     #[getter]
     fn files(&self) -> &[PathBuf] {
         &self.files

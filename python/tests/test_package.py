@@ -5,8 +5,11 @@ usage: test_package.py ROOT FOLDER
 ROOT is the repository, and FOLDER a folder to write to. It needs polars, pyarrow, pandas and duckdb.
 """
 
+import ast
+import inspect
 import json
 import multiprocessing
+import operator
 import os
 import pickle
 import shutil
@@ -331,12 +334,33 @@ def the_program_is_part_of_the_package(run):
     assert reader.wait() == -signal.SIGPIPE and not reader.stderr.read()
 
 
+def documented(body, name=""):
+    """The docstrings of a stub, by the name of the class or function."""
+    for node in body:
+        if isinstance(node, (ast.ClassDef, ast.FunctionDef)):
+            if ast.get_docstring(node):
+                yield name + node.name, ast.get_docstring(node)
+            yield from documented(node.body, f"{name}{node.name}.")
+
+
+def the_stub_has_the_docstrings_of_the_compiled_module(_):
+    from loopboost import _loopboost
+
+    stub = ast.parse(Path(_loopboost.__file__).with_name("_loopboost.pyi").read_text(encoding="utf-8"))
+    docstrings = dict(documented(stub.body))
+    assert {"Rows", "Table", "feature_names"} <= set(docstrings)
+    for name, text in docstrings.items():
+        compiled = inspect.getdoc(operator.attrgetter(name)(_loopboost))
+        assert compiled == text, f"{name}: {compiled!r} in the module, {text!r} in the stub"
+
+
 def main():
     os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     FOLDER.mkdir(parents=True, exist_ok=True)
     run = quickstart()
     tests = (tables_open_everywhere, logs_are_read_as_by_the_program, features_equal_the_table, models_score_as_the_program)
-    for test in (*tests, commands_report_errors, the_program_is_part_of_the_package):
+    program = (commands_report_errors, the_program_is_part_of_the_package, the_stub_has_the_docstrings_of_the_compiled_module)
+    for test in (*tests, *program):
         test(run)
         print(f"{test.__name__}: ok")
     a_run_can_be_stopped()
