@@ -1,7 +1,7 @@
 //! Locates a drive in the map of another drive, and compares the positions with the ground truth.
 //!
 //! ```text
-//! cargo run --release -p detect --example locate -- RUN MAP_LOG LOG [--starts N] [--seed K] [--odometry] [--model FILE]
+//! cargo run --release -p detect --example locate -- RUN MAP_LOG LOG [--starts N [--seed K] [--elsewhere]] [--odometry] [--model FILE]
 //! ```
 //!
 //! `RUN` is a run folder with the scans, the map and the ground truth of both logs. Without `--starts`, the
@@ -9,6 +9,9 @@
 //! after 20 m of driving. A position is wrong if it is more than 1 m or 8 deg from the truth: the pose of
 //! the lidar relative to the nearest pose of the map is compared with the same relative pose by ground truth.
 //! So errors of the map farther away do not count.
+//!
+//! With `--elsewhere`, the map is only that of the western half of the drive, and the searches begin in the eastern half, at
+//! least 30 m from the map: each position that they find is wrong.
 
 #![allow(clippy::print_stdout, reason = "an example prints its results")]
 
@@ -28,6 +31,8 @@ use register::{Drive, RegisterOptions, is_decided};
 const MOST_M: f64 = 20.0;
 /// A scan is near the map if the map has a scan within this distance \[m\].
 const NEAR_M: f64 = 3.0;
+/// With `--elsewhere`, a search begins at least so far from the map \[m\].
+const FAR_M: f64 = 30.0;
 const WRONG_M: f64 = 1.0;
 const WRONG_DEG: f64 = 8.0;
 /// Range limits of a Velodyne HDL-32E \[m\].
@@ -67,7 +72,7 @@ struct Known {
     truth: Vec<Pose2>,
 }
 
-fn known(log: &Log) -> Result<Known, Box<dyn Error>> {
+fn known(log: &Log, only_west: bool) -> Result<Known, Box<dyn Error>> {
     let (rows, _) = read_registered(&log.table("registered"))?;
     let (optimized, _) = read_poses(&log.table("trajectory"))?;
     let numbers: Vec<u32> = rows.iter().map(|row| row.id.scan).collect();
@@ -76,16 +81,39 @@ fn known(log: &Log) -> Result<Known, Box<dyn Error>> {
         rows.iter().map(|row| trajectory.pose_at(row.stamp_ns, 1_000_000_000)).collect()
     };
     let (poses, truth) = (at(&optimized)?, at(&log.truth)?);
-    let drive = Drive::of_scans(
-        scans.iter().collect(),
-        rows.iter().map(|row| row.odometry).collect(),
-        rows.iter().map(|row| row.pose).collect(),
-        rows.iter().map(|row| row.is_keyframe).collect(),
-        rows.iter().map(|row| is_decided(row.near_share, row.weakness)).collect(),
-        RegisterOptions::default().limits(LIMITS),
-    );
-    let map = LocatorMap::new(&[MapDrive { drive: &drive, poses: &poses, map: 0 }], 2.5, 5.0);
-    Ok(Known { map, poses, truth })
+    let parts = match only_west {
+        true => western(&truth),
+        false => vec![0..rows.len()],
+    };
+    let drive_of = |part: &Range<usize>| {
+        let rows = &rows[part.clone()];
+        Drive::of_scans(
+            scans[part.clone()].iter().collect(),
+            rows.iter().map(|row| row.odometry).collect(),
+            rows.iter().map(|row| row.pose).collect(),
+            rows.iter().map(|row| row.is_keyframe).collect(),
+            rows.iter().map(|row| is_decided(row.near_share, row.weakness)).collect(),
+            RegisterOptions::default().limits(LIMITS),
+        )
+    };
+    let drives: Vec<Drive> = parts.iter().map(drive_of).collect();
+    let of_map =
+        |(drive, part): (_, &Range<usize>)| MapDrive { drive, poses: &poses[part.clone()], map: 0 };
+    let of_map: Vec<MapDrive<'_>> = drives.iter().zip(&parts).map(of_map).collect();
+    let map = LocatorMap::new(&of_map, 2.5, 5.0);
+    let in_map =
+        |poses: &[Pose2]| parts.iter().flat_map(|part| poses[part.clone()].to_vec()).collect();
+    Ok(Known { map, poses: in_map(&poses), truth: in_map(&truth) })
+}
+
+/// The parts of a drive in the western half of its poses.
+fn western(truth: &[Pose2]) -> Vec<Range<usize>> {
+    let middle_m = quantile(&mut truth.iter().map(|pose| pose.x_m).collect::<Vec<_>>(), 0.5);
+    let is_west = |k: usize| truth[k].x_m < middle_m;
+    let starts = (0..truth.len()).filter(|&k| is_west(k) && (k == 0 || !is_west(k - 1)));
+    starts
+        .map(|start| start..(start..truth.len()).find(|&k| !is_west(k)).unwrap_or(truth.len()))
+        .collect()
 }
 
 impl Known {
@@ -195,13 +223,21 @@ fn starts(
     detector: &Detector,
     n: usize,
     seed: u64,
+    only_elsewhere: bool,
 ) -> Result<(), Box<dyn Error>> {
     let mut random = SplitMix64::new(seed);
     let last_m = queries.path_m.last().copied().unwrap_or_default() - MOST_M;
     let n_possible = queries.path_m.partition_point(|&m| m < last_m);
     let (mut outcomes, mut first_m, mut times_ms) = (Vec::new(), Vec::new(), Vec::new());
-    for _ in 0..n {
+    let is_elsewhere = |from: usize| {
+        let to_map_m = known.truth.iter().map(|pose| pose.distance_m(&queries.truth[from]));
+        FAR_M < to_map_m.fold(f64::INFINITY, f64::min)
+    };
+    while outcomes.len() < n {
         let from = (random.unit() * n_possible as f64) as usize;
+        if only_elsewhere && !is_elsewhere(from) {
+            continue;
+        }
         let to = queries.path_m.partition_point(|&m| m <= queries.path_m[from] + MOST_M);
         let outcome = search(known, queries, detector, from..to, [&mut first_m, &mut times_ms])?;
         let is_near =
@@ -286,13 +322,15 @@ fn print_times(times_ms: &mut [f64]) {
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let mut seed = 7;
-    let (mut n_starts, mut with_odometry, mut names) = (None, false, Vec::new());
+    let (mut n_starts, mut with_odometry, mut elsewhere) = (None, false, false);
+    let mut names = Vec::new();
     let mut detector = Detector::starting_values();
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
             "--starts" => n_starts = Some(arguments.next().ok_or("--starts needs N")?.parse()?),
             "--seed" => seed = arguments.next().ok_or("--seed needs a number")?.parse()?,
             "--odometry" => with_odometry = true,
+            "--elsewhere" => elsewhere = true,
             "--model" => {
                 let model = model::load(Path::new(&arguments.next().ok_or("--model needs FILE")?))?;
                 detector = model.detector.ok_or("the model has no detector")?;
@@ -303,12 +341,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [run, map_log, log] = names.as_slice() else {
         return Err("expected RUN MAP_LOG LOG".into());
     };
-    let known = known(&Log::open(Path::new(run), map_log)?)?;
+    let known = known(&Log::open(Path::new(run), map_log)?, elsewhere)?;
     let mb = memory_mb("VmRSS").unwrap_or(f64::NAN);
     println!("map: {} places, {mb:.0} MB", known.map.n_places());
     let queries = Queries::open(Log::open(Path::new(run), log)?, with_odometry)?;
     match n_starts {
-        Some(n) => starts(&known, &queries, &detector, n, seed),
+        Some(n) => starts(&known, &queries, &detector, n, seed, elsewhere),
         None => whole(&known, &queries, &detector),
     }
 }

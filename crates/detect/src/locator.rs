@@ -42,7 +42,7 @@ pub struct Position {
 ///    at least 4 positions along at least 3 m of path vote for it, if these are at least half of the positions
 ///    since one of them, if its lead is at least 20, and if no other pose has more than 0.7 of its weight. So a
 ///    place that looks like another one gives no answer. At last, the submap has to fit the nearest places of
-///    the map.
+///    the map with a confidence of at least 0.25, and determine the position, together with those before.
 /// 4. Then, without odometry, each scan is aligned with the nearest place of the map. It corrects the position if at
 ///    least 0.7 of its points have a partner there. So errors of the motion do not add up, where
 ///    the scan determines the position better than the motion does.
@@ -113,6 +113,8 @@ const N_CARRIED: usize = 8;
 /// step: a pose may be found late, where a place looks more like itself.
 const N_FILLED: usize = 3;
 const N_EARLIER: usize = 6;
+/// Number of positions whose alignments are joined for the first position.
+const N_JOINED: usize = 8;
 /// The least confidence from which a vote speaks for a pose. `min_confidence` of the detector may be less: it
 /// leaves candidates to a later stage that compares them.
 const LEAST_CONFIDENCE: f64 = 0.25;
@@ -218,7 +220,9 @@ impl<'a> Locator<'a> {
         let (Some(winner), Some(place)) = (self.votes.winner(), self.votes.last()) else { return };
         let expected = winner.map_from_local * self.last;
         let compared = self.compare(place, winner.map, &expected);
-        let certain = compared.estimate.filter(|estimate| estimate.std_m() <= MAX_STD_M);
+        // Without a margin: a look-alike can win the search, but its places do not fit well in all.
+        let fits = compared.estimate.filter(|_| LEAST_CONFIDENCE <= compared.confidence);
+        let certain = fits.and_then(|estimate| self.certain(estimate, &winner));
         if let Some(estimate) = certain {
             let (map, confidence) = (winner.map, compared.confidence);
             let confirmed_m = self.motion.path_m();
@@ -226,6 +230,26 @@ impl<'a> Locator<'a> {
             self.state = LocatedState::Located;
             self.votes.clear();
         }
+    }
+
+    /// The estimate of the last scan, if it is certain enough. If the last scans do not determine the position along a
+    /// wall, those of the positions before that voted for the same pose can.
+    fn certain(&self, estimate: Estimate, winner: &Vote) -> Option<Estimate> {
+        let is_certain = |estimate: &Estimate| estimate.std_m() <= MAX_STD_M;
+        if is_certain(&estimate) {
+            return Some(estimate);
+        }
+        let expected = winner.map_from_local * self.last;
+        let mut joined = estimate;
+        for place in self.votes.supporters(winner).take(N_JOINED) {
+            if let Some(other) = self.compare(place, winner.map, &expected).estimate {
+                joined = joined.joined(&other);
+            }
+            if is_certain(&joined) {
+                return Some(joined);
+            }
+        }
+        None
     }
 
     /// Asks earlier positions about the best poses, if they have no vote for them.

@@ -136,6 +136,13 @@ impl<P> Votes<P> {
             .map(|(k, ballot)| (k, &ballot.place))
     }
 
+    /// What the positions that vote for a pose have seen, the latest first.
+    pub(crate) fn supporters(&self, winner: &Vote) -> impl Iterator<Item = &P> {
+        let is_for = |vote: &Vote| self.min_confidence <= vote.confidence && winner.agrees(vote);
+        let supporters = self.ballots.iter().rev();
+        supporters.filter(move |b| b.votes.iter().any(is_for)).map(|ballot| &ballot.place)
+    }
+
     /// What the last position has seen.
     pub(crate) fn last(&self) -> Option<&P> {
         self.ballots.back().map(|ballot| &ballot.place)
@@ -307,6 +314,19 @@ mod tests {
         assert!(votes.without(&leader).next().is_none() && votes.winner().is_some());
         // No vote speaks for this one.
         assert!(votes.without(&vote(10.0, 9.0, 0.999)).next().is_none());
+    }
+
+    /// Positions 1, 2 and 4 vote for the pose, position 2 without enough confidence.
+    #[test]
+    fn supporters_vote_for_the_pose_with_enough_confidence() {
+        let mut votes = Votes::new(0.5);
+        for (position, x_m, confidence) in
+            [(1, 50.0, 0.9), (2, 50.0, 0.3), (3, 10.0, 0.9), (4, 50.5, 0.9)]
+        {
+            votes.add(f64::from(position), position, vec![vote(x_m, 0.0, confidence)]);
+        }
+        let supporters: Vec<_> = votes.supporters(&vote(50.0, 0.0, 0.9)).collect();
+        assert_eq!(supporters, [&4, &1]);
     }
 
     /// A robot that does not move forgets by number, one that drives by path.
