@@ -1,6 +1,5 @@
 //! Bags that the library `rosbags` writes have the messages of the log they were made from.
 
-use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -9,7 +8,7 @@ use crate::require::python_with;
 use crate::support::{Workplace, loopboost, root};
 
 /// Topic, name of the type, log time and bytes of each message.
-fn messages(log: &Path) -> BTreeSet<(String, String, u64, Vec<u8>)> {
+fn messages(log: &Path) -> Vec<(String, String, u64, Vec<u8>)> {
     let log = fs::read(log).unwrap();
     let messages = mcap::MessageStream::new(&log).unwrap().map(|message| {
         let message = message.unwrap();
@@ -22,7 +21,9 @@ fn messages(log: &Path) -> BTreeSet<(String, String, u64, Vec<u8>)> {
             message.data.to_vec(),
         )
     });
-    messages.collect()
+    let mut messages: Vec<_> = messages.collect();
+    messages.sort();
+    messages
 }
 
 #[test]

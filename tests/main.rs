@@ -23,6 +23,7 @@ mod faults_scans;
 mod faults_wheels;
 mod fleet;
 mod import;
+mod inspect_folder;
 mod locate;
 mod made;
 mod made_clouds;

@@ -13,9 +13,14 @@ import mcap.reader
 from rosbags import rosbag1, rosbag2
 
 
+def reader(log):
+    log.seek(0)
+    return mcap.reader.make_reader(log)
+
+
 def connections(log):
     """Topic, type and definition of each channel, by its number."""
-    summary = mcap.reader.make_reader(log).get_summary()
+    summary = reader(log).get_summary()
     schemas = {number: summary.schemas[channel.schema_id] for number, channel in summary.channels.items()}
     return {
         number: (channel.topic, schemas[number].name, schemas[number].data.decode())
@@ -27,7 +32,7 @@ def fill(bag, log, add):
     """Writes all messages. `add` adds a connection."""
     bag.open()
     known = {number: add(*connection) for number, connection in connections(log).items()}
-    for _, channel, message in mcap.reader.make_reader(log).iter_messages():
+    for _, channel, message in reader(log).iter_messages():
         bag.write(known[channel.id], message.log_time, message.data)
     bag.close()
 
@@ -61,5 +66,5 @@ if __name__ == "__main__":
     path, out = map(Path, sys.argv[1:])
     out.mkdir(exist_ok=True)
     with path.open("rb") as log:
-        is_ros1 = mcap.reader.make_reader(log).get_header().profile == "ros1"
+        is_ros1 = reader(log).get_header().profile == "ros1"
         (ros1 if is_ros1 else ros2)(log, out)

@@ -354,8 +354,11 @@ codes! {
         /// A chunk of a bag is damaged.
         Warning "damaged_bag_chunks" DamagedBagChunks
             => "chunk{s} of a bag that cannot be unpacked (the other chunks are kept)";
-        /// A message of a bag cannot be unpacked.
-        Warning "damaged_messages" DamagedMessages => "message{s} that cannot be unpacked";
+        /// A message of a bag cannot be read.
+        Warning "damaged_messages" DamagedMessages => "message{s} that cannot be read or unpacked";
+        /// The messages of a database cannot all be listed.
+        Warning "damaged_database" DamagedDatabase
+            => "damaged database{s} of a bag (the messages before the damage are kept)";
         /// A message of a topic that the bag does not describe.
         Warning "messages_without_connection" MessagesWithoutConnection
             => "message{s} of a topic that the bag does not describe";

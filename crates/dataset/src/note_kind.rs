@@ -49,6 +49,11 @@ codes! {
             /// What the log contains.
             reason: String,
         } => "the suggested pipeline sets `{option}`, because {reason}; check that this is right";
+        /// A drive of a folder cannot be read with the pipeline for the others.
+        Warning "drive_differs" DriveDiffers {
+            /// What it needs instead, or why it cannot be read.
+            difference: String,
+        } => "the suggested pipeline does not fit this drive: {difference}";
         /// Two pose topics of a log disagree in extent or revisits.
         Warning "pose_topics_disagree" PoseTopicsDisagree {
             /// The other topic. The subject is the topic that the pipeline uses.

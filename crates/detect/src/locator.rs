@@ -241,8 +241,10 @@ impl<'a> Locator<'a> {
         }
         let expected = winner.map_from_local * self.last;
         let mut joined = estimate;
-        for place in self.votes.supporters(winner).take(N_JOINED) {
-            if let Some(other) = self.compare(place, winner.map, &expected).estimate {
+        for place in self.votes.earlier_supporters(winner).take(N_JOINED) {
+            let compared = self.compare(place, winner.map, &expected);
+            let fits = compared.estimate.filter(|_| LEAST_CONFIDENCE <= compared.confidence);
+            if let Some(other) = fits {
                 joined = joined.joined(&other);
             }
             if is_certain(&joined) {

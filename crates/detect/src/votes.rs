@@ -136,10 +136,10 @@ impl<P> Votes<P> {
             .map(|(k, ballot)| (k, &ballot.place))
     }
 
-    /// What the positions that vote for a pose have seen, the latest first.
-    pub(crate) fn supporters(&self, winner: &Vote) -> impl Iterator<Item = &P> {
+    /// What the positions before the last one that vote for a pose have seen, the latest first.
+    pub(crate) fn earlier_supporters(&self, winner: &Vote) -> impl Iterator<Item = &P> {
         let is_for = |vote: &Vote| self.min_confidence <= vote.confidence && winner.agrees(vote);
-        let supporters = self.ballots.iter().rev();
+        let supporters = self.ballots.iter().rev().skip(1);
         supporters.filter(move |b| b.votes.iter().any(is_for)).map(|ballot| &ballot.place)
     }
 
@@ -316,7 +316,7 @@ mod tests {
         assert!(votes.without(&vote(10.0, 9.0, 0.999)).next().is_none());
     }
 
-    /// Positions 1, 2 and 4 vote for the pose, position 2 without enough confidence.
+    /// Positions 1, 2 and 4 vote for the pose, position 2 without enough confidence. Position 4 is the last one.
     #[test]
     fn supporters_vote_for_the_pose_with_enough_confidence() {
         let mut votes = Votes::new(0.5);
@@ -325,8 +325,8 @@ mod tests {
         {
             votes.add(f64::from(position), position, vec![vote(x_m, 0.0, confidence)]);
         }
-        let supporters: Vec<_> = votes.supporters(&vote(50.0, 0.0, 0.9)).collect();
-        assert_eq!(supporters, [&4, &1]);
+        let supporters: Vec<_> = votes.earlier_supporters(&vote(50.0, 0.0, 0.9)).collect();
+        assert_eq!(supporters, [&1]);
     }
 
     /// A robot that does not move forgets by number, one that drives by path.

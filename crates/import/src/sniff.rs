@@ -1,5 +1,6 @@
 //! Content sniffing: the format of a file, from its first bytes.
 
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -125,6 +126,7 @@ pub(crate) fn files(inputs: &[PathBuf]) -> Result<(Format, Vec<PathBuf>), Import
     let first = inputs.first().ok_or(ImportError::NoInput)?;
     let format = sniff(first)?;
     let mut files: Vec<PathBuf> = Vec::new();
+    let mut known = BTreeSet::new();
     for input in inputs {
         let second_format = sniff(input)?;
         if second_format != format {
@@ -141,7 +143,8 @@ pub(crate) fn files(inputs: &[PathBuf]) -> Result<(Format, Vec<PathBuf>), Import
             (false, _) => vec![input.clone()],
         };
         for file in found {
-            if !files.contains(&file) {
+            let path = file.canonicalize().unwrap_or_else(|_| file.clone());
+            if known.insert(path) {
                 files.push(file);
             }
         }

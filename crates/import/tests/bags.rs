@@ -96,17 +96,36 @@ fn chunk(compression: &str, data: &[u8]) -> Vec<u8> {
 
 /// A bag with these chunks, and with an index of these connections if it was closed.
 fn bag(chunks: &[Vec<u8>], index: Option<&[Vec<u8>]>) -> Vec<u8> {
-    let mut bag = b"#ROSBAG V2.0\n".to_vec();
-    let start = |index_at: u64| {
-        let fields: [(&str, &[u8]); 2] = [("op", &[3]), ("index_pos", &index_at.to_le_bytes())];
-        record(&fields, &[b' '; 100])
-    };
-    let n_chunks: usize = chunks.iter().map(Vec::len).sum();
-    let index_at = bag.len() + start(0).len() + n_chunks;
-    bag.extend(start(if index.is_some() { index_at as u64 } else { 0 }));
-    bag.extend(chunks.concat());
-    bag.extend(index.unwrap_or_default().concat());
-    bag
+    match index {
+        Some(connections) => closed_bag(chunks, &[(10, 1), (10, 2), (10, 9)], connections),
+        None => [start(0, 0), chunks.concat()].concat(),
+    }
+}
+
+/// The first line and the header.
+fn start(index_at: u64, n_chunks: u32) -> Vec<u8> {
+    let fields: [(&str, &[u8]); 3] = [
+        ("op", &[3]),
+        ("index_pos", &index_at.to_le_bytes()),
+        ("chunk_count", &n_chunks.to_le_bytes()),
+    ];
+    [b"#ROSBAG V2.0\n".to_vec(), record(&fields, &[b' '; 100])].concat()
+}
+
+/// A bag with chunks that start at these times [s, ns], and the connections in its index.
+fn closed_bag(chunks: &[Vec<u8>], starts: &[(u32, u32)], connections: &[Vec<u8>]) -> Vec<u8> {
+    let n_start = start(0, 0).len();
+    let n_chunks = chunks.len() as u32;
+    let mut index = connections.concat();
+    let mut at = n_start as u64;
+    for (chunk, (seconds, ns)) in chunks.iter().zip(starts) {
+        let time = [seconds.to_le_bytes(), ns.to_le_bytes()].concat();
+        let fields: [(&str, &[u8]); 3] =
+            [("op", &[6]), ("chunk_pos", &at.to_le_bytes()), ("start_time", &time)];
+        index.extend(record(&fields, &[]));
+        at += chunk.len() as u64;
+    }
+    [start(at, n_chunks), chunks.concat(), index].concat()
 }
 
 const DEFINITION: &str = "# angle in \u{b0}\nfloat64 data\n";
@@ -227,6 +246,65 @@ fn damage_of_a_ros_1_bag_is_counted() {
     }
 }
 
+/// The messages of the second topic were written after those of the first one.
+#[test]
+fn a_bag_that_was_written_topic_by_topic_is_sorted_by_its_index() {
+    let folder = tempfile::tempdir().unwrap();
+    let odom = connection(0, "/odom", "nav_msgs/Odometry", DEFINITION);
+    let scan = connection(1, "/scan", "sensor_msgs/LaserScan", DEFINITION);
+    let of = |number: u32, seconds: [u32; 2]| -> Vec<u8> {
+        seconds.map(|seconds| message(number, seconds, number, &[number as u8])).concat()
+    };
+    let chunks = [of(0, [10, 11]), of(0, [12, 13]), of(1, [10, 11]), of(1, [12, 13])];
+    let chunks = chunks.map(|data| chunk("none", &data)).to_vec();
+    let starts = [(10, 0), (12, 0), (10, 1), (12, 1)];
+    let index = [odom, scan];
+    let content = closed_bag(&chunks, &starts, &index);
+    let path = write(folder.path(), "a.bag", &content);
+    let (log, messages) = import_all(&[path], &Options::default()).unwrap();
+    let topics: Vec<&str> = messages.iter().map(|message| message.0.as_str()).collect();
+    assert_eq!(topics, ["/odom", "/scan"].repeat(4));
+    assert!(log.imported.losses.is_empty(), "{}", log.imported.losses);
+
+    // Cut off between the records of the index: only some chunks are listed.
+    let path = write(folder.path(), "cut.bag", &content[..content.len() - 20]);
+    let (log, messages) = import_all(&[path], &Options::default()).unwrap();
+    assert_eq!((messages.len(), log.losses(Severity::Warning)), (8, vec![("truncated_bag", 1)]));
+}
+
+/// The index says that the bag is longer, although it ends between two chunks.
+#[test]
+fn a_closed_bag_that_was_cut_off_between_chunks_is_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let (chunks, index) = chunks();
+    let n_kept = start(0, 0).len() + chunks[0].len();
+    let path = write(folder.path(), "cut.bag", &bag(&chunks, Some(&index))[..n_kept]);
+    let (log, messages) = import_all(&[path], &Options::default()).unwrap();
+    assert_eq!(content(&messages), expected()[..1]);
+    assert_eq!(log.losses(Severity::Warning), [("truncated_bag", 1)]);
+}
+
+/// The recorder was still writing the last chunk: it has no length, and its records follow.
+#[test]
+fn messages_of_an_open_chunk_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let (chunks, _) = chunks();
+    let open = [chunk("none", b""), message(0, 20, 0, b"late"), message(0, 21, 0, b"cut")].concat();
+    let whole = bag(&[chunks[0].clone(), open], None);
+    let path = write(folder.path(), "a.bag.active", &whole[..whole.len() - 2]);
+    // A closed bag next to it does not know its topics.
+    let data =
+        [connection(0, "/imu", "sensor_msgs/Imu", "int8 x\n"), message(0, 9, 0, b"x")].concat();
+    let closed =
+        closed_bag(&[chunk("none", &data)], &[(9, 0)], &[connection(0, "/imu", "a/B", "")]);
+    let closed = write(folder.path(), "b.bag", &closed);
+    let only_odom = Options { select: vec!["/odom".to_owned()], ..Options::default() };
+    let (log, messages) = import_all(&[closed, path], &only_odom).unwrap();
+    let data: Vec<&[u8]> = messages.iter().map(|message| message.5.as_slice()).collect();
+    assert_eq!(data, [b"first".as_slice(), b"late"]);
+    assert_eq!(log.losses(Severity::Warning), [("truncated_bag", 1)]);
+}
+
 /// Two bags of one drive, recorded at the same time.
 #[test]
 fn bags_are_merged_by_time() {
@@ -295,14 +373,11 @@ fn messages_of_a_ros_2_bag_are_copied_in_the_order_of_time() {
         assert_eq!(sniff(&path).unwrap(), Format::Bag2);
         let (log, messages) = import_all(std::slice::from_ref(&path), &Options::default()).unwrap();
         let mut sorted = rows.clone();
-        if with_index {
-            sorted.sort_by_key(|(_, ns, _)| *ns);
-        }
+        sorted.sort_by_key(|(_, ns, _)| *ns);
         let bytes = |messages: &[Copied]| messages.iter().map(|m| m.5.clone()).collect::<Vec<_>>();
         let expected: Vec<Vec<u8>> = sorted.iter().map(|row| row.2.to_vec()).collect();
         assert_eq!(bytes(&messages), expected);
         let mut losses: Vec<(&str, u64)> = Vec::new();
-        losses.extend((!with_index).then_some(("message_times_step_back", 97)));
         losses.extend((!definitions).then_some(("types_without_definition", 1)));
         let mut found: BTreeMap<&str, u64> = BTreeMap::new();
         for (code, n) in log.losses(Severity::Info) {
@@ -353,6 +428,77 @@ fn packed_and_split_ros_2_bags_are_unpacked() {
     std::fs::write(bag.join("metadata.yaml"), "a: 1\n").unwrap();
     let error = import_all(&[bag], &options).unwrap_err().to_string();
     assert!(error.contains("metadata.yaml") && error.contains("relative_file_paths"), "{error}");
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+/// A bag that was played has its unpacked file next to the packed one. Descriptions of old versions name files from the folder
+/// around the bag. A database with a write-ahead log is read without writing next to it.
+#[test]
+fn each_file_of_a_ros_2_bag_is_read_once_and_nothing_is_written_next_to_it() {
+    let root = tempfile::tempdir().unwrap();
+    let bag = root.path().join("drive");
+    std::fs::create_dir(&bag).unwrap();
+    let path = bag.join("drive_0.db3");
+    database(&path, &[(1, 10, &[0, 1, 0, 0, 7])], true, true);
+    let journal: String = Connection::open(&path)
+        .unwrap()
+        .query_row("PRAGMA journal_mode = WAL", [], |row| row.get(0))
+        .unwrap();
+    assert_eq!(journal, "wal");
+    std::fs::write(bag.join("drive_0.db3.zstd"), pack(&std::fs::read(&path).unwrap())).unwrap();
+    std::fs::write(bag.join("drive_1.db3"), b"").unwrap();
+    let description = |name: &str| {
+        let text = format!("rosbag2_bagfile_information:\n  relative_file_paths: [{name}]\n");
+        std::fs::write(bag.join("metadata.yaml"), text).unwrap();
+    };
+    for name in ["drive_0.db3", "drive_0.db3.zstd", "drive/drive_0.db3", "drive/drive_0.db3.zstd"] {
+        description(name);
+        let before = names(&bag);
+        let (log, messages) = import_all(std::slice::from_ref(&bag), &Options::default()).unwrap();
+        assert_eq!(messages.len(), 1, "{name}");
+        assert_eq!(log.losses(Severity::Warning), [("truncated_bag", 1)], "the empty file");
+        assert_eq!(names(&bag), before);
+    }
+    std::fs::remove_file(bag.join("metadata.yaml")).unwrap();
+    assert_eq!(import_all(&[bag], &Options::default()).unwrap().1.len(), 1);
+}
+
+/// The index of the times is damaged, and so is one row.
+#[test]
+fn messages_of_a_damaged_database_are_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive_0.db3");
+    let large = vec![0; 50_000];
+    let rows: Vec<(i64, i64, &[u8])> = (0..40).map(|k| (1, 100 * k, &large[..])).collect();
+    database(&path, &rows, true, true);
+    let insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 5000, 'text')";
+    Connection::open(&path).unwrap().execute(insert, []).unwrap();
+    let (log, messages) = import_all(std::slice::from_ref(&path), &Options::default()).unwrap();
+    assert_eq!(
+        (messages.len(), log.losses(Severity::Warning)),
+        (40, vec![("damaged_messages", 1)])
+    );
+
+    let whole = std::fs::read(&path).unwrap();
+    for n_kept in [whole.len() * 9 / 10, whole.len() / 2] {
+        std::fs::write(&path, &whole[..n_kept]).unwrap();
+        match import_all(std::slice::from_ref(&path), &Options::default()) {
+            Ok((log, messages)) => {
+                assert!(
+                    messages.len() == 40 || !log.losses(Severity::Warning).is_empty(),
+                    "{n_kept}"
+                );
+            }
+            Err(error) => assert!(error.to_string().contains("copy the file again"), "{error}"),
+        }
+    }
 }
 
 #[test]

@@ -56,7 +56,7 @@ pub(crate) struct Config {
 }
 
 /// Any number would do; this is the number of pairs in the paper.
-fn default_seed() -> u64 {
+pub(crate) fn default_seed() -> u64 {
     2436
 }
 

@@ -70,7 +70,10 @@ impl ImportArgs {
             source_ip: self.source_ip,
             select: self.topic.clone(),
             // Unpacked files are large. They go where the log goes.
-            scratch: self.out.parent().filter(|folder| folder.is_dir()).map(Path::to_owned),
+            scratch: self.out.parent().map(|folder| match folder.as_os_str().is_empty() {
+                true => PathBuf::from("."),
+                false => folder.to_owned(),
+            }),
             ..Options::default()
         };
         let n_bytes = ::import::input_bytes(&self.inputs)?;

@@ -10,23 +10,24 @@ use ingest::{
 use serde_json::json;
 
 use crate::findings::Findings;
+use crate::inspect_folder::{Wanted, inspect_folder};
 use crate::label_choice::LabelChoice;
 use crate::logs::{self, LogFile};
 use crate::plot;
 use crate::run::progress_bar;
 use crate::stages::ingest::open;
-use crate::suggest::Suggestion;
+use crate::suggest::{Suggestion, write_suggestion};
 use crate::trial::Trial;
 
 /// The arguments of `inspect`.
 #[derive(clap::Args)]
 pub(crate) struct InspectArgs {
-    /// An MCAP log, or a folder with the files of one split drive
+    /// An MCAP log, or a folder with one drive or with several
     log: PathBuf,
     /// Write the suggested pipeline to a new file
     #[arg(long, value_name = "FILE.toml")]
     write: Option<PathBuf>,
-    /// Draw the path from the suggested pipeline: poses, their uncertainty, and keyframes
+    /// Draw the path from the suggested pipeline: poses, their uncertainty, and keyframes (one drive only)
     #[arg(long, value_name = "FILE.svg")]
     plot: Option<PathBuf>,
     /// Fuse wheel odometry and IMU with this track width in metres, even if the log has poses
@@ -37,13 +38,28 @@ pub(crate) struct InspectArgs {
     json: bool,
 }
 
-/// Describes a log. Writes the suggested pipeline and draws the path if requested.
+/// Describes a log, or all drives of a folder. Writes the suggested pipeline and draws the path if requested.
 ///
 /// The suggested pipeline is tried on the log. Everything that `ingest` and `subsample` would report
 /// about it is reported.
 pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     let InspectArgs { log: path, write, plot, track_m, json: as_json } = args;
-    let drive = drive(path)?;
+    let mut drives = drives(path)?;
+    if 1 < drives.len() {
+        return match plot {
+            Some(_) => Err(several_drives(path, &drives)),
+            None => {
+                let wanted = Wanted {
+                    folder: path,
+                    write: write.as_deref(),
+                    track_m: *track_m,
+                    as_json: *as_json,
+                };
+                inspect_folder(&wanted, drives)
+            }
+        };
+    }
+    let drive = drives.remove(0);
     let (logs, lost) = open(&drive)?;
     let n_bytes = logs.iter().map(Log::n_bytes).sum();
     let progress = progress_bar(n_bytes, format!("inspect {}", drive.name), true);
@@ -55,7 +71,9 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     let from = write.as_deref().and_then(Path::parent);
     let with = |labels: &LabelChoice| {
         let lidar = suggestion.lidar;
-        lidar.map(|lidar| suggestion.pipeline(lidar, path, from, labels)).transpose()
+        lidar
+            .map(|lidar| suggestion.pipeline(lidar, std::slice::from_ref(path), from, labels))
+            .transpose()
     };
     let coverage_deg = suggestion.coverage_deg();
     let trial = match with(&LabelChoice::without_keyframes(coverage_deg))? {
@@ -96,7 +114,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     }
     if let Some(file) = write {
         let pipeline = pipeline.filter(|_| refused.is_none());
-        write_new(file, &pipeline.ok_or_else(|| failed("suggest a pipeline for"))?)?;
+        write_suggestion(file, &pipeline.ok_or_else(|| failed("suggest a pipeline for"))?)?;
         let file = file.display();
         match trial.too_few_pairs() {
             Some(why) => eprintln!("wrote {file}; {why}"),
@@ -121,12 +139,13 @@ fn print_pipeline(pipeline: &str, suggestion: &Suggestion<'_>, trial: &Trial) {
     out!("{}", pipeline.trim_end());
 }
 
-/// The drive in a file or folder. It is an error if there are none or several.
-fn drive(path: &Path) -> Result<LogFile> {
+/// The drives in a file or folder. It is an error if there are none.
+fn drives(path: &Path) -> Result<Vec<LogFile>> {
     let mut drives = match path.is_dir() {
         true => logs::in_folder(path, 0)?,
         false => logs::find(Path::new(""), &path.to_string_lossy())?,
     };
+    logs::name_apart(&mut drives, &[]);
     match drives.len() {
         0 => Err(match ::import::identify(path) {
             Some(known) => {
@@ -137,13 +156,17 @@ fn drive(path: &Path) -> Result<LogFile> {
                 path.display()
             ),
         }),
-        1 => Ok(drives.remove(0)),
-        n => Err(anyhow!(
-            "{} contains {n} drives, expected one; choose one of: {}",
-            path.display(),
-            drives.iter().map(LogFile::place).collect::<Vec<_>>().join(", ")
-        )),
+        _ => Ok(drives),
     }
+}
+
+fn several_drives(path: &Path, drives: &[LogFile]) -> anyhow::Error {
+    anyhow!(
+        "{} contains {} drives, but --plot draws the path of one; choose one of: {}",
+        path.display(),
+        drives.len(),
+        drives.iter().map(LogFile::place).collect::<Vec<_>>().join(", ")
+    )
 }
 
 fn describe(path: &Path, drive: &LogFile, survey: &Survey) {
@@ -298,15 +321,4 @@ fn counted(n: u64, noun: &str) -> String {
 fn kind(topic: &TopicSurvey) -> String {
     let schema = if topic.schema.is_empty() { "no schema" } else { &topic.schema };
     format!("{schema}, {}", topic.encoding)
-}
-
-fn write_new(path: &Path, text: &str) -> Result<()> {
-    use std::io::Write as _;
-    let mut file = std::fs::File::create_new(path).map_err(|e| match e.kind() {
-        std::io::ErrorKind::AlreadyExists => {
-            anyhow!("{} already exists; choose another file with --write", path.display())
-        }
-        _ => anyhow::Error::new(e).context(format!("cannot write {}", path.display())),
-    })?;
-    file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
 }

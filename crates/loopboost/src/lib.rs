@@ -28,6 +28,7 @@ mod georeference;
 mod goal;
 mod import;
 mod inspect;
+mod inspect_folder;
 mod known_map;
 mod label_basis;
 mod label_choice;

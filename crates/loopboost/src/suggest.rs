@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
 use dataset::{Note, NoteKind, Subject};
 use ingest::{Content, HORIZONTAL_LASER, MessageType, Survey, TopicSurvey};
 
@@ -165,26 +165,33 @@ impl<'a> Suggestion<'a> {
         }
     }
 
-    /// The text of the pipeline file. The path of the log is relative to the folder `from`, or
+    /// The text of the pipeline file. The paths of the logs are relative to the folder `from`, or
     /// absolute without it.
     pub(crate) fn pipeline(
         &self,
         lidar: &TopicSurvey,
-        log: &Path,
+        logs: &[PathBuf],
         from: Option<&Path>,
         labels: &LabelChoice,
     ) -> Result<String> {
         let found = |path: &Path| {
             path.canonicalize().with_context(|| format!("cannot find {}", path.display()))
         };
-        let log = match from {
-            Some(folder) if folder.as_os_str().is_empty() => {
-                relative(&found(log)?, &found(Path::new("."))?)
-            }
-            Some(folder) => relative(&found(log)?, &found(folder)?),
-            None => found(log)?,
+        let in_file = |log: &PathBuf| -> Result<String> {
+            let log = match from {
+                Some(folder) if folder.as_os_str().is_empty() => {
+                    relative(&found(log)?, &found(Path::new("."))?)
+                }
+                Some(folder) => relative(&found(log)?, &found(folder)?),
+                None => found(log)?,
+            };
+            Ok(format!("{:?}", log.display().to_string()))
         };
-        let mut text = format!("[ingest]\nlogs = [{:?}]\n", log.display().to_string());
+        let logs = logs.iter().map(in_file).collect::<Result<Vec<_>>>()?;
+        let mut text = match &logs[..] {
+            [one] => format!("[ingest]\nlogs = [{one}]\n"),
+            logs => format!("[ingest]\nlogs = [\n    {},\n]\n", logs.join(",\n    ")),
+        };
         self.write_poses(&mut text)?;
         write_lidar(&mut text, lidar)?;
         labels.write(&mut text)?;
@@ -330,6 +337,18 @@ fn write_lidar(text: &mut String, lidar: &TopicSurvey) -> fmt::Result {
     Ok(())
 }
 
+/// Writes a suggested pipeline to a file that does not exist.
+pub(crate) fn write_suggestion(path: &Path, text: &str) -> Result<()> {
+    use std::io::Write as _;
+    let mut file = std::fs::File::create_new(path).map_err(|e| match e.kind() {
+        std::io::ErrorKind::AlreadyExists => {
+            anyhow!("{} already exists; choose another file with --write", path.display())
+        }
+        _ => anyhow::Error::new(e).context(format!("cannot write {}", path.display())),
+    })?;
+    file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))
+}
+
 /// A path relative to a folder. Both are absolute.
 fn relative(path: &Path, folder: &Path) -> PathBuf {
     let shared = path.components().zip(folder.components()).take_while(|(a, b)| a == b).count();
@@ -371,7 +390,8 @@ mod tests {
         let written = |survey: &Survey, track_m| {
             let suggestion = Suggestion::of(survey, track_m);
             let labels = LabelChoice::without_keyframes(None);
-            let text = suggestion.pipeline(suggestion.lidar.unwrap(), &log, None, &labels).unwrap();
+            let logs = std::slice::from_ref(&log);
+            let text = suggestion.pipeline(suggestion.lidar.unwrap(), logs, None, &labels).unwrap();
             (suggestion.missing(), suggestion.has_poses(), text)
         };
         let (missing, has_poses, text) = written(&survey, None);

@@ -22,6 +22,8 @@ const SETTLED: f64 = 0.1;
 const FIRST: [Limits; 2] = [ROUND, Limits { converged: 1e-4, max_steps: 15 }];
 /// There is no second attempt if the first one keeps this share of the edges, or more.
 const MOST: f64 = 0.5;
+/// The most damping that a round starts with.
+const MOST_DAMPING: f64 = 1e-2;
 /// Edges without weight make each step slower. They are taken out when they are this share of all.
 const MAX_IDLE_SHARE: f64 = 0.01;
 
@@ -77,7 +79,8 @@ pub(crate) fn reject_outliers(
         if is_best {
             (lowest, best) = (cost, robust);
         }
-        if is_best && MOST * n as f64 <= n_kept as f64 || attempt.has_settled_first {
+        let is_enough = is_best && MOST * n as f64 <= n_kept as f64;
+        if is_enough || attempt.has_settled_first {
             break;
         }
     }
@@ -188,6 +191,8 @@ impl<'a> Graduated<'a> {
             self.solver.damping = damping;
             self.members = with_weight;
         }
+        // A strongly damped step gains little, which must not look like the end of a round.
+        self.solver.damping = self.solver.damping.min(MOST_DAMPING);
         let mut of_edges = vec![1.0; self.trusted.len()];
         of_edges.extend(self.members.iter().map(|&k| weights[k]));
         self.solver.optimize(&of_edges, poses, limits)

@@ -150,7 +150,7 @@ impl SubsampleError {
 ///
 /// Scans are visited in the order of their stamps, because stamps can go back in time in a log. A
 /// scan without a pose is dropped. If a scan is due to become a keyframe but is not usable, it is
-/// dropped and the next usable scan becomes the keyframe. If most scans cover a full circle, those that do not
+/// dropped and the next usable scan becomes the keyframe. If nine of ten scans cover a full circle, those that do not
 /// are not usable: the recording began within a revolution, or packets are missing. Their features could not be
 /// compared with those of the others.
 ///
@@ -170,8 +170,9 @@ pub fn subsample(
 
     let mut by_stamp: Vec<&Candidate> = candidates.iter().collect();
     by_stamp.sort_by_key(|candidate| (candidate.stamp_ns, candidate.scan));
-    let n_full = candidates.iter().filter(|scan| FULL_RING_DEG <= scan.coverage_deg).count();
-    let needs_full = candidates.len() < 2 * n_full;
+    let usable = || candidates.iter().filter(|scan| scan.usable);
+    let n_full = usable().filter(|scan| FULL_RING_DEG <= scan.coverage_deg).count();
+    let needs_full = MOST * usable().count() as f64 <= n_full as f64;
     let mut keyframes: Vec<Keyframe> = Vec::new();
     let mut losses = Losses::default();
     for candidate in by_stamp {
@@ -227,6 +228,9 @@ pub fn subsample(
     }
     Ok((keyframes, losses))
 }
+
+/// With this share of full circles, the other scans of a log are exceptions.
+const MOST: f64 = 0.9;
 
 /// Checks that some pose is `spacing_m` away from the first one of its frame, or turned from it by
 /// `turn_deg` if that option is set.
@@ -320,11 +324,11 @@ mod tests {
         check(&[0.0, 0.75, 1.5], &[], &[(0, 0.0), (2, 0.75), (4, 1.5)]);
     }
 
-    /// The robot drives 0.5 m per scan. Scans 0 and 3 have another coverage than the others.
+    /// The robot drives 0.5 m per scan. Scans 0 and 10 of 20 have another coverage than the others.
     #[test]
     fn partial_scans_are_not_used_among_full_circles() {
         let keyframes_of = |coverage_deg: f32, odd_deg: f32| {
-            let poses = (0..6).map(|k| {
+            let poses = (0..20).map(|k| {
                 let pose = Pose2 { x_m: 0.5 * k as f64, ..Pose2::default() };
                 StampedPose::new(k * 1_000_000_000, pose)
             });
@@ -332,20 +336,22 @@ mod tests {
             let candidate = |scan: u32| Candidate {
                 scan,
                 stamp_ns: i64::from(scan) * 1_000_000_000,
-                coverage_deg: if scan % 3 == 0 { odd_deg } else { coverage_deg },
+                coverage_deg: if scan % 10 == 0 { odd_deg } else { coverage_deg },
                 usable: true,
             };
-            let candidates: Vec<_> = (0..6).map(candidate).collect();
+            let candidates: Vec<_> = (0..20).map(candidate).collect();
             let (log, site) = ("drive".into(), "site".into());
             let options = Options::default();
             let (keyframes, losses) =
                 subsample(&options, &log, &site, &candidates, &trajectory).unwrap();
             (keyframes.iter().map(|k| k.id.scan).collect::<Vec<_>>(), losses.total())
         };
-        assert_eq!(keyframes_of(360.0, 118.0), (vec![1, 2, 4, 5], 2));
-        assert_eq!(keyframes_of(180.0, 118.0), (vec![0, 1, 2, 3, 4, 5], 0));
-        // Most scans are partial: whether they can be used together is decided later.
-        assert_eq!(keyframes_of(180.0, 360.0), (vec![0, 1, 2, 3, 4, 5], 0));
+        let without: Vec<u32> = (0..20).filter(|scan| scan % 10 != 0).collect();
+        assert_eq!(keyframes_of(360.0, 118.0), (without, 2));
+        // Otherwise, whether the scans can be used together is decided later.
+        for (usual_deg, odd_deg) in [(180.0, 118.0), (180.0, 360.0)] {
+            assert_eq!(keyframes_of(usual_deg, odd_deg), ((0..20).collect(), 0));
+        }
     }
 
     #[test]

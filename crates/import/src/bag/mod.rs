@@ -45,16 +45,23 @@ struct Message {
     data: Vec<u8>,
 }
 
-/// A reader of one bag, from start to end.
+/// A reader of one bag, in the order of time.
 trait Bag {
-    /// The topics, as far as they are known before the messages are read.
-    fn topics(&self) -> BTreeSet<String>;
+    /// Whether all topics are known before the messages are read.
+    fn knows_topics(&self) -> bool;
 
     /// The connections found so far.
     fn connections(&self) -> &[Connection];
 
-    /// The next message of a selected topic, or `None` at the end of the bag.
+    /// The time before which there are no more messages \[ns since the epoch\]. `None` at the end of the bag.
+    fn peek(&mut self, losses: &mut Losses) -> Result<Option<i64>, ImportError>;
+
+    /// The message at the time of `peek`. `None` if it cannot be read, or its topic is not selected.
     fn next(&mut self, losses: &mut Losses) -> Result<Option<Message>, ImportError>;
+}
+
+fn topics(bags: &[Box<dyn Bag>]) -> BTreeSet<String> {
+    bags.iter().flat_map(|bag| bag.connections()).map(|of| of.topic.clone()).collect()
 }
 
 /// The topics to import.
@@ -90,31 +97,25 @@ pub(crate) fn import(
     let selection = Selection(options.select.clone());
     let mut losses = Losses::default();
     let mut bags = open(format, files, options, &selection, meter)?;
-    let mut topics: BTreeSet<String> = bags.iter().flat_map(|bag| bag.topics()).collect();
-    if !topics.is_empty() {
-        selection.check(&topics)?;
+    if bags.iter().all(|bag| bag.knows_topics()) {
+        selection.check(&topics(&bags))?;
     }
     let mut log = Log::new(create_log(out, format, files, options)?, bags.len());
-    let mut heads: Vec<Option<Message>> = Vec::with_capacity(bags.len());
+    let mut stamps = Vec::with_capacity(bags.len());
     for bag in &mut bags {
-        heads.push(bag.next(&mut losses)?);
+        stamps.push(bag.peek(&mut losses)?);
     }
-    while let Some(earliest) =
-        crate::earliest(heads.iter().map(|head| Some(head.as_ref()?.stamp_ns)))
-    {
-        let next = bags[earliest].next(&mut losses)?;
-        let Some(message) = std::mem::replace(&mut heads[earliest], next) else { break };
-        log.write(
-            earliest,
-            &bags[earliest].connections()[message.connection],
-            &message,
-            &mut losses,
-        )?;
+    while let Some(earliest) = crate::earliest(stamps.iter().copied()) {
+        let bag = &mut bags[earliest];
+        if let Some(message) = bag.next(&mut losses)? {
+            let connection = &bag.connections()[message.connection];
+            log.write(earliest, connection, &message, &mut losses)?;
+        }
+        stamps[earliest] = bag.peek(&mut losses)?;
         progress(meter.bytes());
     }
     progress(meter.bytes());
-    topics.extend(bags.iter().flat_map(|bag| bag.topics()));
-    selection.check(&topics)?;
+    selection.check(&topics(&bags))?;
     log.finish(format, files, losses)
 }
 

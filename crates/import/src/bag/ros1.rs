@@ -3,7 +3,7 @@
 //! Source: <https://wiki.ros.org/Bags/Format/2.0>. The crate `rosbag` also reads this format. It is not used because it
 //! maps the file into memory, and because it panics if the recorder did not close the bag.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -26,6 +26,8 @@ const OP_CHUNK_INFO: u8 = 0x06;
 const OP_CONNECTION: u8 = 0x07;
 /// The longest header of a record that is read \[bytes\]. Headers have some hundred bytes.
 const MAX_HEADER_BYTES: u32 = 1 << 20;
+/// The largest chunk that is unpacked \[bytes\]. Recorders write chunks of 768 kB, or of one larger message.
+const MAX_CHUNK_BYTES: u32 = 1 << 30;
 
 /// A bag file.
 pub(super) struct File {
@@ -38,9 +40,25 @@ pub(super) struct File {
     connections: Vec<Connection>,
     /// The index of each connection by its number in the bag.
     by_number: BTreeMap<u32, usize>,
-    /// The messages of the last chunk.
-    ready: VecDeque<Message>,
+    /// Start and position of the chunks that were not read yet, by the index, in the order of time.
+    chunks: VecDeque<(i64, u64)>,
+    /// Whether the bag has a complete index. Otherwise, the recorder did not close it, or it was cut off: it is read from
+    /// start to end.
+    is_indexed: bool,
+    /// The messages that were read, by time and order.
+    ready: BTreeMap<(i64, u64), Message>,
+    n_read: u64,
+    /// Whether the bag was closed, but its end is missing.
+    is_cut: bool,
+    /// Whether the last chunk has no length, because the recorder was still writing it.
+    is_in_open_chunk: bool,
     has_ended: bool,
+}
+
+/// What the header of a bag says.
+struct Start {
+    index_at: u64,
+    n_chunks: u32,
 }
 
 /// A record of the file. Its data follows.
@@ -83,19 +101,25 @@ impl File {
             selection: selection.clone(),
             connections: Vec::new(),
             by_number: BTreeMap::new(),
-            ready: VecDeque::new(),
+            chunks: VecDeque::new(),
+            is_indexed: false,
+            ready: BTreeMap::new(),
+            n_read: 0,
+            is_cut: false,
+            is_in_open_chunk: false,
             has_ended: false,
         };
-        let index_at = file.read_start()?;
-        // Without an index, the recorder did not close the bag. Its connections are in the chunks as well.
-        if (file.at..n_bytes).contains(&index_at) {
-            file.read_index(index_at)?;
+        let start = file.read_start()?;
+        if (file.at..n_bytes).contains(&start.index_at) {
+            file.read_index(&start)?;
         }
+        let n_listed = file.chunks.len() as u64;
+        file.is_cut = n_bytes < start.index_at || n_listed < start.n_chunks.into();
         Ok(file)
     }
 
-    /// Reads the first line and the header of the bag. Returns the position of its index.
-    fn read_start(&mut self) -> Result<u64, ImportError> {
+    /// Reads the first line and the header of the bag.
+    fn read_start(&mut self) -> Result<Start, ImportError> {
         let mut magic = [0; MAGIC.len()];
         let n = read_full(&mut self.reader, &mut magic).map_err(|source| self.io(source))?;
         self.at = n as u64;
@@ -105,7 +129,7 @@ impl File {
             return Err(ImportError::unexpected(&self.path, "the first line", found, expected));
         }
         let unexpected = |file: &Self, found: &str| {
-            let expected = "the header of a bag, without encryption";
+            let expected = "the header of a bag that is not encrypted (`rosbag decrypt`)";
             ImportError::unexpected(&file.path, "the first record", found, expected)
         };
         let record = match self.record() {
@@ -118,26 +142,64 @@ impl File {
             return Err(unexpected(self, "an encrypted bag"));
         }
         let index_at = field(&record.header, "index_pos").and_then(|value| value.try_into().ok());
+        let n_chunks = number(&record.header, "chunk_count").unwrap_or(0);
         self.skip(record.n_data).map_err(|source| self.io(source))?;
-        Ok(index_at.map_or(0, u64::from_le_bytes))
+        Ok(Start { index_at: index_at.map_or(0, u64::from_le_bytes), n_chunks })
     }
 
-    /// Reads the connections after the chunks, and returns to the chunks.
-    fn read_index(&mut self, index_at: u64) -> Result<(), ImportError> {
-        let start = self.at;
-        self.seek(index_at)?;
+    /// Reads the connections and the list of chunks after the chunks, and returns to the chunks.
+    fn read_index(&mut self, start: &Start) -> Result<(), ImportError> {
+        let first_chunk = self.at;
+        self.seek(start.index_at)?;
+        let mut chunks = Vec::new();
         loop {
-            match self.record() {
-                Ok(record) if op(&record.header) == Some(OP_CONNECTION) => {
+            let record = match self.record() {
+                Ok(record) => record,
+                Err(Stop::Io(source)) => return Err(self.io(source)),
+                Err(_) => break,
+            };
+            match op(&record.header) {
+                Some(OP_CONNECTION) => {
                     let data = self.data(record.n_data).map_err(|source| self.io(source))?;
                     self.add_connection(&record.header, &data);
                 }
-                Ok(record) => self.skip(record.n_data).map_err(|source| self.io(source))?,
-                Err(Stop::Io(source)) => return Err(self.io(source)),
-                Err(_) => break,
+                kind => {
+                    if kind == Some(OP_CHUNK_INFO) {
+                        chunks.extend(chunk_start(&record.header));
+                    }
+                    self.skip(record.n_data).map_err(|source| self.io(source))?;
+                }
             }
         }
-        self.seek(start)
+        self.is_indexed = !chunks.is_empty() && chunks.len() == start.n_chunks as usize;
+        chunks.sort_unstable();
+        self.chunks = chunks.into();
+        self.seek(first_chunk)
+    }
+
+    /// Reads the next chunk by the index.
+    fn advance_by_index(&mut self, losses: &mut Losses) -> Result<(), ImportError> {
+        let Some((_, at)) = self.chunks.pop_front() else {
+            self.has_ended = true;
+            return Ok(());
+        };
+        self.seek(at)?;
+        let read = self.record().and_then(|record| match op(&record.header) {
+            Some(OP_CHUNK) => {
+                let data = self.data(record.n_data)?;
+                self.read_chunk(&record.header, &data, losses);
+                Ok(())
+            }
+            _ => Err(Stop::Damaged),
+        });
+        match read {
+            Ok(()) => Ok(()),
+            Err(Stop::Io(source)) => Err(self.io(source)),
+            Err(_) => {
+                losses.add(self.loss(LossKind::DamagedBagChunks), 1);
+                Ok(())
+            }
+        }
     }
 
     fn io(&self, source: io::Error) -> ImportError {
@@ -191,18 +253,29 @@ impl File {
         Ok(())
     }
 
-    /// Reads the next record. Messages of chunks are added to `ready`.
+    /// Reads the next record. Messages are added to `ready`.
     fn advance(&mut self, losses: &mut Losses) -> Result<(), ImportError> {
+        if self.is_indexed {
+            return self.advance_by_index(losses);
+        }
         let start = self.at;
         let read = self.record().and_then(|record| {
             match op(&record.header) {
                 Some(OP_CHUNK) => {
                     let data = self.data(record.n_data)?;
+                    self.is_in_open_chunk = data.is_empty();
                     self.read_chunk(&record.header, &data, losses);
                 }
                 Some(OP_CONNECTION) => {
                     let data = self.data(record.n_data)?;
                     self.add_connection(&record.header, &data);
+                }
+                // In a chunk that is not packed, and whose length was not written yet.
+                Some(OP_MESSAGE) => {
+                    let data = self.data(record.n_data)?;
+                    if let Some(message) = self.message(&record.header, &data, losses) {
+                        self.add(message);
+                    }
                 }
                 // The index is not needed.
                 Some(OP_INDEX | OP_CHUNK_INFO) => self.skip(record.n_data)?,
@@ -213,8 +286,9 @@ impl File {
         let kind = match read {
             Ok(()) => return Ok(()),
             Err(Stop::Io(source)) => return Err(self.io(source)),
-            Err(Stop::End) => None,
+            Err(Stop::End) => self.is_cut.then_some(LossKind::TruncatedBag),
             Err(Stop::Truncated) => Some(LossKind::TruncatedBag),
+            Err(Stop::Damaged) if self.is_in_open_chunk => Some(LossKind::TruncatedBag),
             Err(Stop::Damaged) => Some(LossKind::DamagedBag { at_byte: start }),
         };
         self.has_ended = true;
@@ -235,7 +309,6 @@ impl File {
             return;
         };
         let mut rest = chunk.as_slice();
-        let mut messages = Vec::new();
         while !rest.is_empty() {
             let record = part(&mut rest).zip(part(&mut rest));
             let Some((header, data)) = record.filter(|(header, _)| op(header).is_some()) else {
@@ -244,28 +317,32 @@ impl File {
             };
             match op(header) {
                 Some(OP_CONNECTION) => self.add_connection(header, data),
-                Some(OP_MESSAGE) => messages.extend(self.message(header, data, losses)),
-                _ => {}
+                Some(OP_MESSAGE) => {
+                    if let Some(message) = self.message(header, data, losses) {
+                        self.add(message);
+                    }
+                }
+                _ => losses.add(self.loss(LossKind::DamagedBagChunks), 1),
             }
         }
-        messages.sort_by_key(|message| message.stamp_ns);
-        self.ready.extend(messages);
+    }
+
+    fn add(&mut self, message: Message) {
+        self.ready.insert((message.stamp_ns, self.n_read), message);
+        self.n_read += 1;
     }
 
     fn message(&self, header: &[u8], data: &[u8], losses: &mut Losses) -> Option<Message> {
         let connection = number(header, "conn").and_then(|number| self.by_number.get(&number));
-        let time = field(header, "time").filter(|time| time.len() == 8);
-        let (Some(&connection), Some(time)) = (connection, time) else {
+        let (Some(&connection), Some(stamp_ns)) =
+            (connection, field(header, "time").and_then(time_ns))
+        else {
             losses.add(self.loss(LossKind::MessagesWithoutConnection), 1);
             return None;
         };
         if !self.selection.contains(&self.connections[connection].topic) {
             return None;
         }
-        let [seconds, ns] = [0, 4].map(|from| {
-            time[from..].first_chunk().map_or(0, |bytes| i64::from(u32::from_le_bytes(*bytes)))
-        });
-        let stamp_ns = seconds * 1_000_000_000 + ns;
         if !is_representable(stamp_ns) {
             let kind = LossKind::TimesOutOfRange { item: "message".to_owned() };
             losses.add(Loss::new(kind, Subject::topic(&self.connections[connection].topic)), 1);
@@ -304,25 +381,51 @@ impl File {
 }
 
 impl Bag for File {
-    fn topics(&self) -> BTreeSet<String> {
-        self.connections.iter().map(|connection| connection.topic.clone()).collect()
+    fn knows_topics(&self) -> bool {
+        self.is_indexed
     }
 
     fn connections(&self) -> &[Connection] {
         &self.connections
     }
 
-    fn next(&mut self, losses: &mut Losses) -> Result<Option<Message>, ImportError> {
-        while self.ready.is_empty() && !self.has_ended {
+    fn peek(&mut self, losses: &mut Losses) -> Result<Option<i64>, ImportError> {
+        while self.ready.is_empty() && !self.has_ended && !self.is_indexed {
             self.advance(losses)?;
         }
-        Ok(self.ready.pop_front())
+        let first = self.ready.first_key_value().map(|(&(stamp_ns, _), _)| stamp_ns);
+        let chunk = self.chunks.front().filter(|_| self.is_indexed).map(|&(start_ns, _)| start_ns);
+        Ok(first.into_iter().chain(chunk).min())
     }
+
+    fn next(&mut self, losses: &mut Losses) -> Result<Option<Message>, ImportError> {
+        let Some(at_ns) = self.peek(losses)? else { return Ok(None) };
+        // Chunks that begin at this time or before can have earlier messages.
+        while self.is_indexed && self.chunks.front().is_some_and(|&(start_ns, _)| start_ns <= at_ns)
+        {
+            self.advance(losses)?;
+        }
+        let first = self.ready.first_entry().filter(|first| first.key().0 <= at_ns);
+        Ok(first.map(|first| first.remove()))
+    }
+}
+
+/// Start and position of a chunk, from its record in the index.
+fn chunk_start(header: &[u8]) -> Option<(i64, u64)> {
+    let at = u64::from_le_bytes(field(header, "chunk_pos")?.try_into().ok()?);
+    Some((time_ns(field(header, "start_time")?)?, at))
+}
+
+/// A time of 4 bytes of seconds and 4 bytes of nanoseconds \[ns since the epoch\].
+fn time_ns(bytes: &[u8]) -> Option<i64> {
+    let (seconds, ns) = bytes.split_first_chunk()?;
+    let [seconds, ns] = [*seconds, ns.try_into().ok()?].map(u32::from_le_bytes).map(i64::from);
+    Some(seconds * 1_000_000_000 + ns)
 }
 
 /// The bytes of a chunk. `None` if they cannot be decompressed, or have another length than the header says.
 fn unpack(header: &[u8], data: &[u8]) -> Option<Vec<u8>> {
-    let n_bytes = number(header, "size")?;
+    let n_bytes = number(header, "size").filter(|n| *n <= MAX_CHUNK_BYTES)?;
     let mut chunk = Vec::new();
     // No more than the header says: a damaged chunk must not fill the memory.
     let most = u64::from(n_bytes) + 1;

@@ -3,14 +3,14 @@
 //! Source: rosbag2, `rosbag2_storage_sqlite3` (tables `topics`, `messages` and, from Iron on, `message_definitions`) and
 //! `rosbag2_compression` (whole files `.db3.zstd`, or each message).
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::collections::{BTreeMap, VecDeque};
 use std::ffi::OsStr;
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use dataset::{Loss, LossKind, Losses, Subject};
 use messages::{Encoding, MessageType, schemas};
-use rusqlite::{Connection as Database, OpenFlags, OptionalExtension, params};
+use rusqlite::{Connection as Database, ErrorCode, OpenFlags, OptionalExtension};
 use tempfile::TempPath;
 use yaml_rust2::{Yaml, YamlLoader};
 
@@ -25,15 +25,8 @@ use crate::sniff::entries;
 const METADATA: &str = "metadata.yaml";
 /// The first bytes of data packed with Zstandard (RFC 8878, section 3.1.1). Messages in CDR start with a zero.
 const ZSTD_MAGIC: &[u8] = b"\x28\xB5\x2F\xFD";
-/// Number of messages that are read at a time.
-const N_ROWS: i64 = 32;
-/// The messages after one with this time and number. rosbag2 stores an index of the times.
-const AFTER_IN_TIME: &str = "SELECT timestamp, id, topic_id, data FROM messages \
-    WHERE (timestamp, id) > (?1, ?2) ORDER BY timestamp, id LIMIT ?3";
-/// The same without an index, in the order in which they were stored: sorting needs all of them.
-const AFTER_AS_STORED: &str = "SELECT timestamp, id, topic_id, data FROM messages \
-    WHERE ?1 IS NOT NULL AND id > ?2 ORDER BY id LIMIT ?3";
-
+/// The largest message that is unpacked \[bytes\].
+const MAX_MESSAGE_BYTES: u64 = 1 << 28;
 /// Whether a folder has the layout of a bag of `sqlite3`.
 pub(crate) fn is_bag_folder(folder: &Path) -> bool {
     let is_database = |path: &PathBuf| is_database(path) && path.is_file();
@@ -57,6 +50,7 @@ pub(crate) fn bag_files(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
     present.retain(|path| is_database(path));
     let description = folder.join(METADATA);
     if !description.is_file() {
+        present.retain(|path| !is_packed(path) || !path.with_extension("").exists());
         return Ok(present);
     }
     let text = std::fs::read_to_string(&description)
@@ -65,25 +59,37 @@ pub(crate) fn bag_files(folder: &Path) -> Result<Vec<PathBuf>, ImportError> {
         let expected = "`relative_file_paths` under `rosbag2_bagfile_information`";
         ImportError::unexpected(&description, "the document", "another content", expected)
     })?;
-    let mut files: Vec<PathBuf> = listed.iter().map(|name| folder.join(name)).collect();
-    // The recorder lists a file before it packs it, and versions differ in which name is listed.
-    for file in &mut files {
-        let packed = file.with_added_extension("zstd");
-        let unpacked = file.with_extension("");
-        if !file.exists() {
-            if let Some(found) = [packed, unpacked].into_iter().find(|path| present.contains(path))
-            {
-                *file = found;
-            }
-        }
-    }
-    // A recorder that was stopped has not listed its last files.
-    for file in present {
+    let mut files = Vec::new();
+    for name in &listed {
+        let file = found_file(folder, Path::new(name)).unwrap_or_else(|| folder.join(name));
         if !files.contains(&file) {
             files.push(file);
         }
     }
+    // A recorder that was stopped has not listed its last files. A packed file that was played has its unpacked one next
+    // to it: one of them is enough.
+    let names = |file: &Path| -> Option<PathBuf> {
+        let name = Path::new(file.file_name()?);
+        Some(if is_packed(name) { name.with_extension("") } else { name.to_owned() })
+    };
+    for file in present {
+        if !files.iter().any(|other| names(other) == names(&file)) {
+            files.push(file);
+        }
+    }
     Ok(files)
+}
+
+/// The file of a bag with this name, packed or not. Descriptions before version 4 name the file from the folder around the
+/// bag, and those of packed bags list the name before or after packing.
+fn found_file(folder: &Path, name: &Path) -> Option<PathBuf> {
+    let names = [Some(name), name.file_name().map(Path::new)].into_iter().flatten();
+    let variants = |name: &Path| {
+        let bare = if is_packed(name) { name.with_extension("") } else { name.to_owned() };
+        let packed = ["zstd", "zst"].map(|ending| bare.with_added_extension(ending));
+        [vec![name.to_owned(), bare], packed.into()].concat()
+    };
+    names.flat_map(variants).map(|name| folder.join(name)).find(|path| path.is_file())
 }
 
 /// The files that a description lists.
@@ -97,19 +103,70 @@ fn listed_files(text: &str) -> Option<Vec<String>> {
 /// A database of a bag.
 pub(super) struct File {
     path: PathBuf,
+    scratch: Option<PathBuf>,
+    /// Open from the first message to the last one.
+    opened: Option<Opened>,
+    meter: Meter,
+    connections: Vec<Connection>,
+    /// The selected messages that were not read yet, in the order of time.
+    rows: VecDeque<Row>,
+    /// What was found when the file was opened, until it is reported.
+    faults: Vec<(LossKind, u64)>,
+}
+
+/// Time, number and connection of a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Row {
+    stamp_ns: i64,
+    number: i64,
+    connection: usize,
+}
+
+/// An open database.
+struct Opened {
     database: Database,
     /// The unpacked file, which is deleted at the end.
     _unpacked: Option<TempPath>,
-    meter: Meter,
-    connections: Vec<Connection>,
-    /// The number in the database, and whether it is selected, of each connection.
-    numbers: Vec<(i64, bool)>,
-    /// The messages after one, in the order of time.
-    select: &'static str,
-    /// Time and number of the last message that was read.
-    last: (i64, i64),
-    ready: VecDeque<Message>,
-    has_ended: bool,
+}
+
+impl Opened {
+    fn of(path: &Path, scratch: Option<&Path>) -> Result<Self, ImportError> {
+        let unpacked = match is_packed(path) {
+            true => Some(unpack(path, scratch)?),
+            false => None,
+        };
+        let read: &Path = unpacked.as_deref().unwrap_or(path);
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        // SQLite would write files next to a database with a write-ahead log, even to read it. It need not if there is no
+        // such log any more.
+        let database = match unpacked.is_some() || !has_log(read) {
+            true => Database::open_with_flags(unchanging(read), flags | OpenFlags::SQLITE_OPEN_URI),
+            false => Database::open_with_flags(read, flags),
+        };
+        let database = database.map_err(|error| damaged(path, &error))?;
+        Ok(Self { database, _unpacked: unpacked })
+    }
+}
+
+/// Whether a database has changes that are not in its file yet.
+fn has_log(path: &Path) -> bool {
+    let mut log = path.as_os_str().to_owned();
+    log.push("-wal");
+    std::fs::metadata(log).is_ok_and(|log| 0 < log.len())
+}
+
+/// The address of a database that does not change while it is read (sqlite.org/uri.html).
+fn unchanging(path: &Path) -> String {
+    let mut address = "file:".to_owned();
+    for byte in path.to_string_lossy().bytes() {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'.' | b'_' | b'-' | b'~' => {
+                address.push(byte.into());
+            }
+            _ => address += &format!("%{byte:02X}"),
+        }
+    }
+    address + "?immutable=1"
 }
 
 impl File {
@@ -119,118 +176,128 @@ impl File {
         selection: &Selection,
         meter: &Meter,
     ) -> Result<Self, ImportError> {
-        std::fs::metadata(path).map_err(|source| ImportError::io("read", path, source))?;
-        let unpacked = match is_packed(path) {
-            true => Some(unpack(path, options)?),
-            false => None,
-        };
-        let read: &Path = unpacked.as_deref().unwrap_or(path);
-        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-        let database = Database::open_with_flags(read, flags);
-        let database = database.map_err(|error| damaged(path, &error))?;
-        let topics = topics(&database).map_err(|error| damaged(path, &error))?;
-        let definitions = definitions(&database).map_err(|error| damaged(path, &error))?;
-        let select = match has_times_indexed(&database).map_err(|error| damaged(path, &error))? {
-            true => AFTER_IN_TIME,
-            false => AFTER_AS_STORED,
-        };
-        let numbers = topics.iter().map(|topic| (topic.number, selection.contains(&topic.name)));
-        let numbers = numbers.collect();
-        let connections = topics.into_iter().map(|topic| topic.connection(&definitions)).collect();
-        Ok(Self {
+        let n_bytes =
+            std::fs::metadata(path).map_err(|source| ImportError::io("read", path, source))?.len();
+        let mut file = Self {
             path: path.to_owned(),
-            database,
-            _unpacked: unpacked,
+            scratch: options.scratch.clone(),
+            opened: None,
             meter: meter.clone(),
-            connections,
-            numbers,
-            select,
-            last: (i64::MIN, i64::MIN),
-            ready: VecDeque::new(),
-            has_ended: false,
-        })
+            connections: Vec::new(),
+            rows: VecDeque::new(),
+            faults: Vec::new(),
+        };
+        // The last file of a recorder that lost its power.
+        if n_bytes == 0 {
+            file.faults.push((LossKind::TruncatedBag, 1));
+            return Ok(file);
+        }
+        let opened = Opened::of(path, file.scratch.as_deref())?;
+        let failed = |error| damaged(path, &error);
+        let topics = topics(&opened.database).map_err(failed)?;
+        let definitions = definitions(&opened.database).map_err(failed)?;
+        let numbers: BTreeMap<i64, usize> =
+            topics.iter().enumerate().map(|(k, topic)| (topic.number, k)).collect();
+        file.connections = topics.into_iter().map(|topic| topic.connection(&definitions)).collect();
+        file.list(&opened.database, &numbers, selection).map_err(failed)?;
+        Ok(file)
     }
 
-    /// Reads the next messages in the order of time.
-    fn advance(&mut self, losses: &mut Losses) -> Result<(), ImportError> {
-        let rows = self.rows().map_err(|error| damaged(&self.path, &error))?;
-        self.has_ended = rows.is_empty();
-        for row in rows {
-            self.last = (row.stamp_ns, row.number);
-            self.meter.add(row.data.len() as u64);
-            let connection = self.numbers.iter().position(|(number, _)| *number == row.topic);
-            let Some(connection) = connection else {
-                let subject = Subject::file(file_name(&self.path));
-                losses.add(Loss::new(LossKind::MessagesWithoutConnection, subject), 1);
-                continue;
-            };
-            if !self.numbers[connection].1 {
-                continue;
-            }
-            let subject = || Subject::topic(&self.connections[connection].topic);
-            if !is_representable(row.stamp_ns) {
-                let kind = LossKind::TimesOutOfRange { item: "message".to_owned() };
-                losses.add(Loss::new(kind, subject()), 1);
-                continue;
-            }
-            let data = match row.data.starts_with(ZSTD_MAGIC) {
-                true => zstd::decode_all(row.data.as_slice()).ok(),
-                false => Some(row.data),
-            };
-            match data {
-                Some(data) => {
-                    self.ready.push_back(Message { connection, stamp_ns: row.stamp_ns, data });
+    /// Lists the messages. The table is read without its index, which can be missing or damaged.
+    fn list(
+        &mut self,
+        database: &Database,
+        numbers: &BTreeMap<i64, usize>,
+        selection: &Selection,
+    ) -> rusqlite::Result<()> {
+        let mut statement =
+            database.prepare("SELECT timestamp, id, topic_id FROM messages NOT INDEXED")?;
+        let mut found = statement.query([])?;
+        let mut rows = Vec::new();
+        let (mut n_unknown, mut n_untimed) = (0, 0);
+        loop {
+            let row = match found.next() {
+                Ok(Some(row)) => row,
+                Ok(None) => break,
+                Err(_) => {
+                    self.faults.push((LossKind::DamagedDatabase, 1));
+                    break;
                 }
-                None => losses.add(Loss::new(LossKind::DamagedMessages, subject()), 1),
+            };
+            let connection = row.get(2).ok().and_then(|number: i64| numbers.get(&number));
+            let time = row.get(0).ok().filter(|stamp_ns| is_representable(*stamp_ns));
+            match (connection, time, row.get(1)) {
+                (None, ..) => n_unknown += 1,
+                (Some(_), None, _) | (_, _, Err(_)) => n_untimed += 1,
+                (Some(&connection), Some(stamp_ns), Ok(number)) => {
+                    if selection.contains(&self.connections[connection].topic) {
+                        rows.push(Row { stamp_ns, number, connection });
+                    }
+                }
+            }
+        }
+        rows.sort_unstable();
+        self.rows = rows.into();
+        let untimed = LossKind::TimesOutOfRange { item: "message".to_owned() };
+        for (kind, n) in [(LossKind::MessagesWithoutConnection, n_unknown), (untimed, n_untimed)] {
+            if 0 < n {
+                self.faults.push((kind, n));
             }
         }
         Ok(())
     }
 
-    fn rows(&self) -> rusqlite::Result<Vec<Row>> {
-        let mut statement = self.database.prepare(self.select)?;
-        let (stamp_ns, number) = self.last;
-        let row = |row: &rusqlite::Row<'_>| {
-            Ok(Row {
-                stamp_ns: row.get(0)?,
-                number: row.get(1)?,
-                topic: row.get(2)?,
-                data: row.get(3)?,
-            })
+    /// The bytes of a message, unpacked. `None` if they are damaged.
+    fn data(&mut self, row: &Row) -> Result<Option<Vec<u8>>, ImportError> {
+        let opened = match self.opened.take() {
+            Some(opened) => opened,
+            None => Opened::of(&self.path, self.scratch.as_deref())?,
         };
-        statement.query_map(params![stamp_ns, number, N_ROWS], row)?.collect()
+        let opened = self.opened.insert(opened);
+        let select = "SELECT data FROM messages WHERE id = ?1";
+        let data: rusqlite::Result<Vec<u8>> =
+            opened.database.query_row(select, [row.number], |row| row.get(0));
+        let Ok(data) = data else { return Ok(None) };
+        self.meter.add(data.len() as u64);
+        if !data.starts_with(ZSTD_MAGIC) {
+            return Ok(Some(data));
+        }
+        let mut unpacked = Vec::new();
+        let Ok(decoder) = zstd::Decoder::new(data.as_slice()) else { return Ok(None) };
+        let read = decoder.take(MAX_MESSAGE_BYTES + 1).read_to_end(&mut unpacked);
+        Ok(read.is_ok_and(|n| n as u64 <= MAX_MESSAGE_BYTES).then_some(unpacked))
     }
 }
 
-/// A row of the table of messages.
-struct Row {
-    stamp_ns: i64,
-    number: i64,
-    topic: i64,
-    data: Vec<u8>,
-}
-
 impl Bag for File {
-    fn topics(&self) -> BTreeSet<String> {
-        self.connections.iter().map(|connection| connection.topic.clone()).collect()
+    fn knows_topics(&self) -> bool {
+        true
     }
 
     fn connections(&self) -> &[Connection] {
         &self.connections
     }
 
-    fn next(&mut self, losses: &mut Losses) -> Result<Option<Message>, ImportError> {
-        while self.ready.is_empty() && !self.has_ended {
-            self.advance(losses)?;
+    fn peek(&mut self, losses: &mut Losses) -> Result<Option<i64>, ImportError> {
+        for (kind, n) in self.faults.drain(..) {
+            losses.add(Loss::new(kind, Subject::file(file_name(&self.path))), n);
         }
-        Ok(self.ready.pop_front())
+        Ok(self.rows.front().map(|row| row.stamp_ns))
     }
-}
 
-fn has_times_indexed(database: &Database) -> rusqlite::Result<bool> {
-    let index = "SELECT 1 FROM pragma_index_list('messages') AS list, pragma_index_info(list.name) \
-        AS info WHERE info.seqno = 0 AND info.name = 'timestamp'";
-    Ok(database.query_row(index, [], |_| Ok(())).optional()?.is_some())
+    fn next(&mut self, losses: &mut Losses) -> Result<Option<Message>, ImportError> {
+        let Some(row) = self.rows.pop_front() else { return Ok(None) };
+        let Row { stamp_ns, connection, .. } = row;
+        let data = self.data(&row)?;
+        if data.is_none() {
+            let subject = Subject::topic(&self.connections[connection].topic);
+            losses.add(Loss::new(LossKind::DamagedMessages, subject), 1);
+        }
+        if self.rows.is_empty() {
+            self.opened = None;
+        }
+        Ok(data.map(|data| Message { connection, stamp_ns, data }))
+    }
 }
 
 /// A row of the table of topics.
@@ -239,17 +306,21 @@ struct Topic {
     name: String,
     message_type: String,
     encoding: String,
+    metadata: BTreeMap<String, String>,
 }
 
 fn topics(database: &Database) -> rusqlite::Result<Vec<Topic>> {
-    let mut statement =
-        database.prepare("SELECT id, name, type, serialization_format FROM topics ORDER BY id")?;
+    let mut statement = database.prepare("SELECT * FROM topics ORDER BY id")?;
     let topic = |row: &rusqlite::Row<'_>| {
+        // Old bags do not have all of them. rosbag2 stores them in MCAP logs under the same names.
+        let described = |name: &str| Some((name.to_owned(), row.get(name).ok()?));
+        let metadata = ["offered_qos_profiles", "type_description_hash"];
         Ok(Topic {
-            number: row.get(0)?,
-            name: row.get(1)?,
-            message_type: row.get(2)?,
-            encoding: row.get(3)?,
+            number: row.get("id")?,
+            name: row.get("name")?,
+            message_type: row.get("type")?,
+            encoding: row.get("serialization_format")?,
+            metadata: metadata.into_iter().filter_map(described).collect(),
         })
     };
     statement.query_map([], topic)?.collect()
@@ -285,7 +356,7 @@ impl Topic {
             encoding: self.encoding,
             definition_encoding,
             definition: definition.into_bytes(),
-            metadata: BTreeMap::new(),
+            metadata: self.metadata,
         }
     }
 }
@@ -297,10 +368,10 @@ fn known_definition(message_type: &str) -> Option<(String, String)> {
 }
 
 /// Unpacks a database to a temporary file.
-fn unpack(path: &Path, options: &Options) -> Result<TempPath, ImportError> {
+fn unpack(path: &Path, scratch: Option<&Path>) -> Result<TempPath, ImportError> {
     let error = |source| ImportError::io("unpack", path, source);
     let packed = std::fs::File::open(path).map_err(error)?;
-    let mut unpacked = match &options.scratch {
+    let mut unpacked = match scratch {
         Some(folder) => tempfile::NamedTempFile::new_in(folder),
         None => tempfile::NamedTempFile::new(),
     }
@@ -311,6 +382,14 @@ fn unpack(path: &Path, options: &Options) -> Result<TempPath, ImportError> {
 }
 
 fn damaged(path: &Path, error: &rusqlite::Error) -> ImportError {
-    let expected = "the tables `topics` and `messages` of a ROS 2 bag";
+    let expected = match error.sqlite_error_code() {
+        Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
+            "a whole database; copy the file again, or repair it: `sqlite3 OLD.db3 .recover | sqlite3 NEW.db3`"
+        }
+        Some(ErrorCode::CannotOpen | ErrorCode::ReadOnly) => {
+            "a database that the recorder closed; copy its folder to a place where you can write"
+        }
+        _ => "the tables `topics` and `messages` of a ROS 2 bag",
+    };
     ImportError::unexpected(path, "the database", error.to_string(), expected)
 }
