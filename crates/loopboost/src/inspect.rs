@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Result, anyhow};
 use ingest::{
     ClockSurvey, Content, FrameSurvey, HORIZONTAL_LASER, JointsSurvey, Log, PacketsSurvey, Survey,
     TopicSurvey, survey,

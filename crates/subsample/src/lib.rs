@@ -336,7 +336,7 @@ mod tests {
             let candidate = |scan: u32| Candidate {
                 scan,
                 stamp_ns: i64::from(scan) * 1_000_000_000,
-                coverage_deg: if scan % 10 == 0 { odd_deg } else { coverage_deg },
+                coverage_deg: if scan.is_multiple_of(10) { odd_deg } else { coverage_deg },
                 usable: true,
             };
             let candidates: Vec<_> = (0..20).map(candidate).collect();

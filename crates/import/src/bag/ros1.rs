@@ -3,6 +3,7 @@
 //! Source: <https://wiki.ros.org/Bags/Format/2.0>. The crate `rosbag` also reads this format. It is not used because it
 //! maps the file into memory, and because it panics if the recorder did not close the bag.
 
+use std::collections::btree_map::OccupiedEntry;
 use std::collections::{BTreeMap, VecDeque};
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -406,7 +407,7 @@ impl Bag for File {
             self.advance(losses)?;
         }
         let first = self.ready.first_entry().filter(|first| first.key().0 <= at_ns);
-        Ok(first.map(|first| first.remove()))
+        Ok(first.map(OccupiedEntry::remove))
     }
 }
 
