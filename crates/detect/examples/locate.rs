@@ -83,7 +83,7 @@ fn known(log: &Log, only_west: bool) -> Result<Known, Box<dyn Error>> {
     let (poses, truth) = (at(&optimized)?, at(&log.truth)?);
     let parts = match only_west {
         true => western(&truth),
-        false => Vec::from([0..rows.len()]),
+        false => std::iter::once(0..rows.len()).collect(),
     };
     let drive_of = |part: &Range<usize>| {
         let rows = &rows[part.clone()];

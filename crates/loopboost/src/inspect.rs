@@ -46,18 +46,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
     let InspectArgs { log: path, write, plot, track_m, json: as_json } = args;
     let mut drives = drives(path)?;
     if 1 < drives.len() {
-        return match plot {
-            Some(_) => Err(several_drives(path, &drives)),
-            None => {
-                let wanted = Wanted {
-                    folder: path,
-                    write: write.as_deref(),
-                    track_m: *track_m,
-                    as_json: *as_json,
-                };
-                inspect_folder(&wanted, drives)
-            }
-        };
+        return of_folder(args, drives);
     }
     let drive = drives.remove(0);
     let (logs, lost) = open(&drive)?;
@@ -125,6 +114,20 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
         }
     }
     Ok(findings)
+}
+
+/// Describes several drives. Their paths cannot be drawn together.
+fn of_folder(args: &InspectArgs, drives: Vec<LogFile>) -> Result<Findings> {
+    if args.plot.is_some() {
+        return Err(several_drives(&args.log, &drives));
+    }
+    let wanted = Wanted {
+        folder: &args.log,
+        write: args.write.as_deref(),
+        track_m: args.track_m,
+        as_json: args.json,
+    };
+    inspect_folder(&wanted, drives)
 }
 
 /// Prints the suggested pipeline, and whether `run` would refuse it.
