@@ -66,6 +66,9 @@ fn a_folder_gets_one_pipeline_for_the_drives_that_fit() {
         .map(|drive| drive["does_not_fit"].is_null())
         .collect();
     assert_eq!(fits, [false, true, false, true]);
+    // The two drives are too short for enough pairs.
+    let refused = json["too_few_pairs"].as_str().unwrap();
+    assert!(refused.starts_with("`label` fails for these drives alone: "), "{refused}");
 
     let plot = ["inspect", folder, "--plot", "path.svg"];
     loopboost(&plot).expect(1).says(&["contains 4 drives, but --plot draws the path of one"]);

@@ -343,9 +343,9 @@ codes! {
 
         // Import: bags.
 
-        /// A bag ends within a record.
+        /// The end of a bag is missing.
         Warning "truncated_bag" TruncatedBag
-            => "bag{s} cut off within a record (complete chunks are kept)";
+            => "bag{s} without an end: not closed, or cut off (complete messages are kept)";
         /// A bag is damaged.
         Warning "damaged_bag" DamagedBag {
             /// Where the damage starts.

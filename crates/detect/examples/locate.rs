@@ -233,6 +233,9 @@ fn starts(
         let to_map_m = known.truth.iter().map(|pose| pose.distance_m(&queries.truth[from]));
         FAR_M < to_map_m.fold(f64::INFINITY, f64::min)
     };
+    if only_elsewhere && !(0..n_possible).any(is_elsewhere) {
+        return Err(format!("no scan is more than {FAR_M} m from the map").into());
+    }
     while outcomes.len() < n {
         let from = (random.unit() * n_possible as f64) as usize;
         if only_elsewhere && !is_elsewhere(from) {
@@ -341,6 +344,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let [run, map_log, log] = names.as_slice() else {
         return Err("expected RUN MAP_LOG LOG".into());
     };
+    if elsewhere && n_starts.is_none() {
+        return Err("--elsewhere needs --starts N".into());
+    }
     let known = known(&Log::open(Path::new(run), map_log)?, elsewhere)?;
     let mb = memory_mb("VmRSS").unwrap_or(f64::NAN);
     println!("map: {} places, {mb:.0} MB", known.map.n_places());

@@ -220,9 +220,8 @@ impl<'a> Locator<'a> {
         let (Some(winner), Some(place)) = (self.votes.winner(), self.votes.last()) else { return };
         let expected = winner.map_from_local * self.last;
         let compared = self.compare(place, winner.map, &expected);
-        // Without a margin: a look-alike can win the search, but its places do not fit well in all.
-        let fits = compared.estimate.filter(|_| LEAST_CONFIDENCE <= compared.confidence);
-        let certain = fits.and_then(|estimate| self.certain(estimate, &winner));
+        // A look-alike can win the search, but it fits less well.
+        let certain = compared.confident().and_then(|estimate| self.certain(estimate, &winner));
         if let Some(estimate) = certain {
             let (map, confidence) = (winner.map, compared.confidence);
             let confirmed_m = self.motion.path_m();
@@ -242,9 +241,7 @@ impl<'a> Locator<'a> {
         let expected = winner.map_from_local * self.last;
         let mut joined = estimate;
         for place in self.votes.earlier_supporters(winner).take(N_JOINED) {
-            let compared = self.compare(place, winner.map, &expected);
-            let fits = compared.estimate.filter(|_| LEAST_CONFIDENCE <= compared.confidence);
-            if let Some(other) = fits {
+            if let Some(other) = self.compare(place, winner.map, &expected).confident() {
                 joined = joined.joined(&other);
             }
             if is_certain(&joined) {
@@ -426,6 +423,13 @@ struct Compared {
     estimate: Option<Estimate>,
     /// Confidence of the detector.
     confidence: f64,
+}
+
+impl Compared {
+    /// The pose of the last scan, if the confidence is enough for a first position.
+    fn confident(&self) -> Option<Estimate> {
+        self.estimate.filter(|_| LEAST_CONFIDENCE <= self.confidence)
+    }
 }
 
 /// An alignment with a place near the expected pose.

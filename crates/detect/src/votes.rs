@@ -137,10 +137,18 @@ impl<P> Votes<P> {
     }
 
     /// What the positions before the last one that vote for a pose have seen, the latest first.
-    pub(crate) fn earlier_supporters(&self, winner: &Vote) -> impl Iterator<Item = &P> {
+    pub(crate) fn earlier_supporters<'a>(
+        &'a self,
+        winner: &'a Vote,
+    ) -> impl Iterator<Item = &'a P> {
+        let earlier = self.ballots.iter().rev().skip(1);
+        earlier.filter(|ballot| self.is_for(ballot, winner)).map(|ballot| &ballot.place)
+    }
+
+    /// Whether a position votes for a pose, with enough confidence.
+    fn is_for(&self, ballot: &Ballot<P>, winner: &Vote) -> bool {
         let is_for = |vote: &Vote| self.min_confidence <= vote.confidence && winner.agrees(vote);
-        let supporters = self.ballots.iter().rev().skip(1);
-        supporters.filter(move |b| b.votes.iter().any(is_for)).map(|ballot| &ballot.place)
+        ballot.votes.iter().any(is_for)
     }
 
     /// What the last position has seen.
@@ -176,12 +184,9 @@ impl<P> Votes<P> {
     /// Whether the positions that vote for a pose are enough. Their share is that since one of them: the first
     /// positions may have seen little.
     fn is_enough(&self, winner: &Vote) -> bool {
-        let is_for = |vote: &Vote| self.min_confidence <= vote.confidence && winner.agrees(vote);
-        let votes: Vec<(f64, bool)> = self
-            .ballots
-            .iter()
-            .map(|ballot| (ballot.path_m, ballot.votes.iter().any(is_for)))
-            .collect();
+        let ballots = self.ballots.iter();
+        let votes: Vec<(f64, bool)> =
+            ballots.map(|ballot| (ballot.path_m, self.is_for(ballot, winner))).collect();
         let Some(last) = votes.iter().rposition(|vote| vote.1) else { return false };
         let is_since = |first: usize| {
             let n_for = votes[first..].iter().filter(|vote| vote.1).count();
@@ -325,7 +330,8 @@ mod tests {
         {
             votes.add(f64::from(position), position, vec![vote(x_m, 0.0, confidence)]);
         }
-        let supporters: Vec<_> = votes.earlier_supporters(&vote(50.0, 0.0, 0.9)).collect();
+        let winner = vote(50.0, 0.0, 0.9);
+        let supporters: Vec<_> = votes.earlier_supporters(&winner).collect();
         assert_eq!(supporters, [&1]);
     }
 

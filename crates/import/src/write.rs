@@ -57,8 +57,27 @@ pub(crate) struct LogWriter<W: Write + Seek> {
     format: Format,
     topics: Topics,
     channels: BTreeMap<Topic, Channel>,
-    /// Log times of the first and the last message.
-    range_ns: Option<(i64, i64)>,
+    times: LogTimes,
+}
+
+/// The log times of messages, which never step back, because readers expect increasing log times.
+#[derive(Default)]
+pub(crate) struct LogTimes {
+    /// Log times of the first and the last message \[ns since the epoch\].
+    pub(crate) range_ns: Option<(i64, i64)>,
+}
+
+impl LogTimes {
+    /// The log time of the next message: its stamp, or the log time of the previous message if that is later.
+    pub(crate) fn next(&mut self, stamp_ns: i64, topic: &str, losses: &mut Losses) -> i64 {
+        let (start_ns, latest_ns) = self.range_ns.unwrap_or((stamp_ns, stamp_ns));
+        let log_ns = stamp_ns.max(latest_ns);
+        if stamp_ns < log_ns {
+            losses.add(Loss::new(LossKind::MessageTimesStepBack, Subject::topic(topic)), 1);
+        }
+        self.range_ns = Some((start_ns, log_ns));
+        log_ns
+    }
 }
 
 struct Channel {
@@ -130,22 +149,14 @@ impl<W: Write + Seek> LogWriter<W> {
             format,
             topics: options.topics.clone(),
             channels: BTreeMap::new(),
-            range_ns: None,
+            times: LogTimes::default(),
         })
     }
 
-    /// Writes one message. The log time is the stamp, or the log time of the previous message if
-    /// that is later, because readers expect increasing log times.
+    /// Writes one message.
     pub fn write(&mut self, record: &Record, losses: &mut Losses) -> Result<(), ImportError> {
         debug_assert!(is_representable(record.stamp_ns), "readers drop other times");
-        let (start_ns, latest_ns) = self.range_ns.unwrap_or((record.stamp_ns, record.stamp_ns));
-        let log_ns = record.stamp_ns.max(latest_ns);
-        if record.stamp_ns < log_ns {
-            let subject = Subject::topic(self.topics.name(record.topic));
-            losses.add(Loss::new(LossKind::MessageTimesStepBack, subject), 1);
-        }
-        self.range_ns = Some((start_ns, log_ns));
-
+        let log_ns = self.times.next(record.stamp_ns, self.topics.name(record.topic), losses);
         let channel = self.channel(record.topic)?;
         let header = MessageHeader {
             channel_id: channel.id,
@@ -179,7 +190,7 @@ impl<W: Write + Seek> LogWriter<W> {
         losses: Losses,
         notes: Vec<Note>,
     ) -> Result<Imported, ImportError> {
-        let Some((start_ns, end_ns)) = self.range_ns else {
+        let Some((start_ns, end_ns)) = self.times.range_ns else {
             return Err(nothing_to_import(self.format, files, &losses));
         };
         self.writer.finish()?;

@@ -4,18 +4,16 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, anyhow};
 use ingest::{
-    ClockSurvey, Content, FrameSurvey, HORIZONTAL_LASER, JointsSurvey, Log, PacketsSurvey, Survey,
-    TopicSurvey, survey,
+    ClockSurvey, Content, FrameSurvey, HORIZONTAL_LASER, JointsSurvey, PacketsSurvey, Survey,
+    TopicSurvey,
 };
 use serde_json::json;
 
 use crate::findings::Findings;
-use crate::inspect_folder::{Wanted, inspect_folder};
+use crate::inspect_folder::{Wanted, inspect_folder, surveyed};
 use crate::label_choice::LabelChoice;
 use crate::logs::{self, LogFile};
 use crate::plot;
-use crate::run::progress_bar;
-use crate::stages::ingest::open;
 use crate::suggest::{Suggestion, write_suggestion};
 use crate::trial::Trial;
 
@@ -49,13 +47,7 @@ pub(crate) fn inspect(args: &InspectArgs) -> Result<Findings> {
         return of_folder(args, drives);
     }
     let drive = drives.remove(0);
-    let (logs, lost) = open(&drive)?;
-    let n_bytes = logs.iter().map(Log::n_bytes).sum();
-    let progress = progress_bar(n_bytes, format!("inspect {}", drive.name), true);
-    let mut survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
-    progress.finish_and_clear();
-    logs.iter().try_for_each(Log::check_unchanged)?;
-    survey.losses.merge(lost);
+    let (logs, survey) = surveyed(&drive)?;
     let suggestion = Suggestion::of(&survey, *track_m);
     let from = write.as_deref().and_then(Path::parent);
     let with = |labels: &LabelChoice| {

@@ -42,14 +42,7 @@ struct Content {
 
 impl Content {
     fn of(log: &LogFile, track_m: Option<f64>) -> Result<Self> {
-        let (logs, lost) = open(log)?;
-        let n_bytes = logs.iter().map(Log::n_bytes).sum();
-        let progress = progress_bar(n_bytes, format!("inspect {}", log.name), true);
-        let mut survey =
-            survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
-        progress.finish_and_clear();
-        logs.iter().try_for_each(Log::check_unchanged)?;
-        survey.losses.merge(lost);
+        let (logs, survey) = surveyed(log)?;
         let suggestion = Suggestion::of(&survey, track_m);
         let labels = LabelChoice::without_keyframes(suggestion.coverage_deg());
         let pipeline = suggestion
@@ -72,6 +65,18 @@ impl Content {
     fn is_complete(&self) -> bool {
         !self.options.is_empty() && self.missing.is_empty() && self.trial.refusal().is_none()
     }
+}
+
+/// The files of a drive, and what they contain.
+pub(crate) fn surveyed(drive: &LogFile) -> Result<(Vec<Log>, Survey)> {
+    let (logs, lost) = open(drive)?;
+    let n_bytes = logs.iter().map(Log::n_bytes).sum();
+    let progress = progress_bar(n_bytes, format!("inspect {}", drive.name), true);
+    let mut survey = survey(&logs.iter().collect::<Vec<_>>(), |done| progress.set_position(done));
+    progress.finish_and_clear();
+    logs.iter().try_for_each(Log::check_unchanged)?;
+    survey.losses.merge(lost);
+    Ok((logs, survey))
 }
 
 /// The options of the section `[ingest]` of a pipeline, except the logs: `ingest.pose.topic = "/pose"`.
@@ -106,9 +111,12 @@ pub(crate) fn inspect_folder(wanted: &Wanted<'_>, logs: Vec<LogFile>) -> Result<
         .collect();
     let used = most_frequent(&drives);
     let misfits: Vec<Option<String>> = drives.iter().map(|drive| misfit(drive, used)).collect();
-    let pipeline = match used {
-        Some(used) => Some(pipeline(wanted, &drives, used, &misfits)?),
-        None => None,
+    let (pipeline, too_few_pairs) = match used {
+        Some(used) => {
+            let (pipeline, too_few_pairs) = pipeline(wanted, &drives, used, &misfits)?;
+            (Some(pipeline), too_few_pairs)
+        }
+        None => (None, None),
     };
     let findings = findings(&drives, &misfits);
     let n_fit = misfits.iter().filter(|misfit| misfit.is_none()).count();
@@ -116,11 +124,13 @@ pub(crate) fn inspect_folder(wanted: &Wanted<'_>, logs: Vec<LogFile>) -> Result<
         let all = json!({
             "folder": wanted.folder,
             "drives": drives.iter().zip(&misfits).map(as_json).collect::<Vec<_>>(),
-            "losses": findings.losses, "notes": findings.notes, "pipeline": pipeline,
+            "losses": findings.losses, "notes": findings.notes, "too_few_pairs": too_few_pairs,
+            "pipeline": pipeline,
         });
         out!("{}", serde_json::to_string_pretty(&all)?);
     } else {
         describe(wanted.folder, &drives, &misfits);
+        too_few_pairs.iter().for_each(|why| out!("refused: {why}"));
         if let Some(pipeline) = pipeline.as_ref().filter(|_| wanted.write.is_none()) {
             out!(
                 "\nsuggested pipeline for {n_fit} of {} drives (save it with --write FILE.toml):\n",
@@ -137,7 +147,11 @@ pub(crate) fn inspect_folder(wanted: &Wanted<'_>, logs: Vec<LogFile>) -> Result<
             )
         })?;
         write_suggestion(file, &pipeline)?;
-        eprintln!("wrote {file}; next: loopboost run {file} --out DIR", file = file.display());
+        let file = file.display();
+        match too_few_pairs {
+            Some(why) => eprintln!("wrote {file}; {why}"),
+            None => eprintln!("wrote {file}; next: loopboost run {file} --out DIR"),
+        }
     }
     Ok(findings)
 }
@@ -171,21 +185,21 @@ fn misfit(drive: &Drive, used: Option<&Content>) -> Option<String> {
     let others: Vec<&str> = others.map(String::as_str).collect();
     let lacking = used.options.iter().filter(|option| !content.options.contains(option));
     let lacking: Vec<&str> = lacking.map(String::as_str).collect();
-    let list = |options: &[&str]| match options {
-        [] => "nothing".to_owned(),
-        options => options.join(", "),
+    let part = |what: &str, options: &[&str]| {
+        (!options.is_empty()).then(|| format!("{what} {}", options.join(", ")))
     };
-    let is_same = others.is_empty() && lacking.is_empty();
-    (!is_same).then(|| format!("needs {} instead of {}", list(&others), list(&lacking)))
+    let parts = [part("needs", &others), part("does not need", &lacking)];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    (!parts.is_empty()).then(|| parts.join(", and "))
 }
 
-/// The pipeline for the drives that fit.
+/// The pipeline for the drives that fit, and why `label` would refuse it.
 fn pipeline(
     wanted: &Wanted<'_>,
     drives: &[Drive],
     used: &Content,
     misfits: &[Option<String>],
-) -> Result<String> {
+) -> Result<(String, Option<String>)> {
     let fits = || drives.iter().zip(misfits).filter(|(_, misfit)| misfit.is_none());
     let contents = || fits().filter_map(|(drive, _)| drive.content.as_ref().ok());
     let logs: Vec<PathBuf> = match misfits.iter().all(Option::is_none) {
@@ -201,7 +215,9 @@ fn pipeline(
     };
     let lidar = suggestion.lidar.ok_or_else(|| anyhow!("the drive has no lidar"))?;
     let from = wanted.write.and_then(Path::parent);
-    suggestion.pipeline(lidar, &logs, from, &labels)
+    let refusal = labels.refusal.as_ref();
+    let too_few_pairs = refusal.map(|why| format!("`label` fails for these drives alone: {why}"));
+    Ok((suggestion.pipeline(lidar, &logs, from, &labels)?, too_few_pairs))
 }
 
 /// The file of a drive, or the folder of a split one.

@@ -18,7 +18,7 @@ use crate::error::ImportError;
 use crate::format::Format;
 use crate::input::Meter;
 use crate::options::Options;
-use crate::write::{Imported, ImportedTopic, create_log, nothing_to_import};
+use crate::write::{Imported, ImportedTopic, LogTimes, create_log, nothing_to_import};
 pub(crate) use ros2::{bag_files, is_bag_folder, is_packed};
 
 /// What the messages of a topic are.
@@ -53,10 +53,10 @@ trait Bag {
     /// The connections found so far.
     fn connections(&self) -> &[Connection];
 
-    /// The time before which there are no more messages \[ns since the epoch\]. `None` at the end of the bag.
+    /// A time \[ns since the epoch\]. No message that was not read yet is earlier. `None` at the end of the bag.
     fn peek(&mut self, losses: &mut Losses) -> Result<Option<i64>, ImportError>;
 
-    /// The message at the time of `peek`. `None` if it cannot be read, or its topic is not selected.
+    /// The message at the time of `peek`. `None` if there is none, if it cannot be read, or if its topic is not selected.
     fn next(&mut self, losses: &mut Losses) -> Result<Option<Message>, ImportError>;
 }
 
@@ -143,8 +143,7 @@ struct Log<W: Write + Seek> {
     of_bags: Vec<BTreeMap<usize, u16>>,
     channels: BTreeMap<Connection, u16>,
     n_messages: BTreeMap<u16, u64>,
-    /// Log times of the first and the last message.
-    range_ns: Option<(i64, i64)>,
+    times: LogTimes,
 }
 
 impl<W: Write + Seek> Log<W> {
@@ -155,7 +154,7 @@ impl<W: Write + Seek> Log<W> {
             of_bags,
             channels: BTreeMap::new(),
             n_messages: BTreeMap::new(),
-            range_ns: None,
+            times: LogTimes::default(),
         }
     }
 
@@ -168,18 +167,15 @@ impl<W: Write + Seek> Log<W> {
         losses: &mut Losses,
     ) -> Result<(), ImportError> {
         let stamp_ns = message.stamp_ns;
-        let (start_ns, latest_ns) = self.range_ns.unwrap_or((stamp_ns, stamp_ns));
-        let log_ns = stamp_ns.max(latest_ns);
-        if stamp_ns < log_ns {
-            let subject = Subject::topic(&connection.topic);
-            losses.add(Loss::new(LossKind::MessageTimesStepBack, subject), 1);
-        }
-        self.range_ns = Some((start_ns, log_ns));
+        let log_ns = self.times.next(stamp_ns, &connection.topic, losses);
         let channel = match self.of_bags[bag].get(&message.connection) {
             Some(&channel) => channel,
-            None => self.channel(connection, losses)?,
+            None => {
+                let channel = self.channel(connection, losses)?;
+                self.of_bags[bag].insert(message.connection, channel);
+                channel
+            }
         };
-        self.of_bags[bag].insert(message.connection, channel);
         let n_messages = self.n_messages.entry(channel).or_default();
         let header = MessageHeader {
             channel_id: channel,
@@ -218,7 +214,7 @@ impl<W: Write + Seek> Log<W> {
         files: &[PathBuf],
         losses: Losses,
     ) -> Result<Imported, ImportError> {
-        let Some((start_ns, end_ns)) = self.range_ns else {
+        let Some((start_ns, end_ns)) = self.times.range_ns else {
             return Err(nothing_to_import(format, files, &losses));
         };
         self.writer.finish()?;

@@ -310,10 +310,11 @@ impl File {
             return;
         };
         let mut rest = chunk.as_slice();
+        let mut is_damaged = false;
         while !rest.is_empty() {
             let record = part(&mut rest).zip(part(&mut rest));
             let Some((header, data)) = record.filter(|(header, _)| op(header).is_some()) else {
-                losses.add(self.loss(LossKind::DamagedBagChunks), 1);
+                is_damaged = true;
                 break;
             };
             match op(header) {
@@ -323,8 +324,11 @@ impl File {
                         self.add(message);
                     }
                 }
-                _ => losses.add(self.loss(LossKind::DamagedBagChunks), 1),
+                _ => is_damaged = true,
             }
+        }
+        if is_damaged {
+            losses.add(self.loss(LossKind::DamagedBagChunks), 1);
         }
     }
 
@@ -335,10 +339,12 @@ impl File {
 
     fn message(&self, header: &[u8], data: &[u8], losses: &mut Losses) -> Option<Message> {
         let connection = number(header, "conn").and_then(|number| self.by_number.get(&number));
-        let (Some(&connection), Some(stamp_ns)) =
-            (connection, field(header, "time").and_then(time_ns))
-        else {
+        let Some(&connection) = connection else {
             losses.add(self.loss(LossKind::MessagesWithoutConnection), 1);
+            return None;
+        };
+        let Some(stamp_ns) = field(header, "time").and_then(time_ns) else {
+            losses.add(self.loss(LossKind::DamagedMessages), 1);
             return None;
         };
         if !self.selection.contains(&self.connections[connection].topic) {

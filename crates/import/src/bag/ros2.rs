@@ -27,6 +27,7 @@ const METADATA: &str = "metadata.yaml";
 const ZSTD_MAGIC: &[u8] = b"\x28\xB5\x2F\xFD";
 /// The largest message that is unpacked \[bytes\].
 const MAX_MESSAGE_BYTES: u64 = 1 << 28;
+
 /// Whether a folder has the layout of a bag of `sqlite3`.
 pub(crate) fn is_bag_folder(folder: &Path) -> bool {
     let is_database = |path: &PathBuf| is_database(path) && path.is_file();
@@ -104,7 +105,8 @@ fn listed_files(text: &str) -> Option<Vec<String>> {
 pub(super) struct File {
     path: PathBuf,
     scratch: Option<PathBuf>,
-    /// Open from the first message to the last one.
+    /// Open from the first message to the last one, so that only a few files are open at a time. A packed file is unpacked
+    /// twice: for the list of its messages, and for the messages.
     opened: Option<Opened>,
     meter: Meter,
     connections: Vec<Connection>,
@@ -312,9 +314,13 @@ struct Topic {
 fn topics(database: &Database) -> rusqlite::Result<Vec<Topic>> {
     let mut statement = database.prepare("SELECT * FROM topics ORDER BY id")?;
     let topic = |row: &rusqlite::Row<'_>| {
-        // Old bags do not have all of them. rosbag2 stores them in MCAP logs under the same names.
-        let described = |name: &str| Some((name.to_owned(), row.get(name).ok()?));
-        let metadata = ["offered_qos_profiles", "type_description_hash"];
+        // Old bags do not have all columns. rosbag2 stores them in MCAP logs under these names.
+        let described =
+            |(column, name): (&str, &str)| Some((name.to_owned(), row.get(column).ok()?));
+        let metadata = [
+            ("offered_qos_profiles", "offered_qos_profiles"),
+            ("type_description_hash", "topic_type_hash"),
+        ];
         Ok(Topic {
             number: row.get("id")?,
             name: row.get("name")?,
